@@ -1,4 +1,4 @@
-"""`adaptrack identify`: from a log of driving to a car file, with what is known of each number."""
+"""`adaptrack identify`: from logs of driving to a car file, with what is known of each number."""
 
 from __future__ import annotations
 
@@ -17,12 +17,18 @@ from adaptrack.cli.next_step import again, command, say_next
 if TYPE_CHECKING:
     from adaptrack.identification import Reading
 
+NOT_CONSISTENT = 3
+"""The exit code of an identification that contradicts itself or what was believed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions:
     """Options of `adaptrack identify`."""
 
-    log: Annotated[Path, typer.Argument(metavar="LOG", help=".csv or .parquet, also one of `simulate --out`.")]
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help=".csv or .parquet, also of `simulate --out`; several: of one car."),
+    ]
     car: Annotated[
         str | None,
         Option("--car", metavar="CAR", help="What is believed of it: name (see `vehicles`) or .toml file."),
@@ -47,6 +53,16 @@ class IdentifyOptions:
             help="Logged steering angles over those of the road wheels, or fit: to be found.",
         ),
     ] = None
+    clock: Annotated[
+        list[str] | None,
+        Option("--clock", metavar="SIGNAL=NAME,...", help="Column of a signal's own times: yaw_rate=t_imu."),
+    ] = None
+    late: Annotated[
+        list[str] | None,
+        Option(
+            "--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."
+        ),
+    ] = None
     computation: Annotated[
         float | None,
         Option(
@@ -56,6 +72,9 @@ class IdentifyOptions:
     out: Annotated[
         Path | None, Option("--out", metavar="FILE", help="The car file to write (.toml); its tyre goes beside it.")
     ] = None
+    anyway: Annotated[
+        bool, Option("--anyway", help="Write --out, with exit code 0, also when the identification is not consistent.")
+    ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False
 
@@ -66,7 +85,9 @@ class IdentifyOptions:
 
         columns = dict(_pair("--columns", each) for each in _parts(self.columns))
         units = dict(("", each) if "=" not in each else _pair("--units", each) for each in _parts(self.units))
-        return Reading(columns, units, tuple(_parts(self.flip)), _ratio(self.steering_ratio))
+        clocks = dict(_pair("--clock", each) for each in _parts(self.clock))
+        late = {name: _seconds(name, each) for name, each in (_pair("--late", each) for each in _parts(self.late))}
+        return Reading(columns, units, tuple(_parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
 
 
 @options.grouped
@@ -74,7 +95,8 @@ def identify(given: IdentifyOptions) -> None:
     """Identify a car from a log of driving.
 
     Steering delay, tyre stiffness, offsets, noise. The log needs time, speed, yaw rate and a steering command (or a
-    measured wheel angle), 10 Hz and up. Each number comes with its interval.
+    measured wheel angle), 10 Hz and up. Each number comes with its interval. Several logs are of one car. Where logs,
+    stretches of one, or a log and what was believed contradict each other, the exit code is 3.
     """
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page
@@ -89,23 +111,32 @@ def identify(given: IdentifyOptions) -> None:
     options.make_place(page)
     with show.progress("identify"):
         found = fit(
-            given.log, given.car, mass=given.mass, wheelbase=given.wheelbase, reading=reading,
+            list(given.logs), given.car, mass=given.mass, wheelbase=given.wheelbase, reading=reading,
             computation=given.computation,
         )  # fmt: skip
     show.say_result(identification_result(found), as_json)
-    if out is not None:
-        found.to_toml(out)
+    for reason in found.reasons:
+        show.say_failed(f"not consistent: {reason}.", aside=as_json)
+    refused = not (found.consistent or given.anyway)
+    if out is not None and not refused:
+        found.to_toml(out, anyway=given.anyway)
         show.say(f"Car: {out}", aside=as_json)
+    elif out is not None:
+        show.say(f"{out} is not written: --anyway writes it all the same.", aside=as_json)
     if page is not None:
         show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
     if not as_json:
-        say_next(*_next_step(given, found.findings))
+        say_next(*_next_step(given, found.findings, refused))
+    if refused:
+        raise typer.Exit(NOT_CONSISTENT)
 
 
-def _next_step(given: IdentifyOptions, findings: Sequence[str]) -> tuple[str, str]:
-    """What to do with a car from a log, and the command; findings: what the log contradicts."""
-    if findings and given.page is None:
+def _next_step(given: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:
+    """What to do with a car from a log, and the command; findings: what limits it; refused: it is not consistent."""
+    if (findings or refused) and given.page is None:
         return "to look at what does not fit", again("--page", "identified.html")
+    if refused:
+        return "to keep the car all the same", again(*([] if given.out else ["--out", "my-car.toml"]), "--anyway")
     if given.out is None:
         return "to keep the car", again("--out", "my-car.toml")
     return "to drive it", command("drive", "country", "--vehicle", given.out)
@@ -118,6 +149,13 @@ def _ratio(text: str | None) -> float | Literal["fit"] | None:
         return float(text)
     except ValueError:
         raise InvalidInput(f"--steering-ratio {text}: must be a number, or fit.") from None
+
+
+def _seconds(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(f"--late {name}={text}: must be a number (s).") from None
 
 
 def _parts(given: Sequence[str] | None) -> list[str]:

@@ -7,6 +7,7 @@ In slow bends yaw rate and road-wheel angle obey r = v delta/(L + K v^2) (R. Raj
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -30,12 +31,55 @@ LARGEST_RATIO = 100.0
 """-, of steering wheel over road wheels."""
 CLEAR = 0.6
 """Least correlation of two signals from which anything is concluded."""
+LEADS, FOLLOWS, QUICK = np.arange(-0.5, -0.09, 0.05), np.arange(0.0, 1.01, 0.05), 0.15
+"""s, by which a yaw rate is tried to run ahead of the steering, and behind; to either side, over which signals are
+smoothed for it."""
+SHIFTS = np.arange(-1.0, 1.01, 0.02)
+"""s, between two signals of one motion."""
+AHEAD = 0.85
+"""Share of what is unexplained behind the steering that a yaw rate ahead of it must leave at most."""
+LATE, LATE_FELT = 0.08, (-0.2, 0.3)
+"""s, from which the yaw rate does not belong to the yaw; ends of what the lateral velocity parts a_y from v r."""
+MENDED = 0.5
+"""Share of what is unexplained that a shift of clocks must leave at most."""
 _DEGREE = math.pi / 180.0
 
 
 class _Slope(NamedTuple):
     factor: float
     correlation: float
+
+
+def check_positions(values: Mapping[str, Array]) -> None:
+    """Refuse raw columns (SI units, (n,) each) whose positions do not fit their speed.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the option that mends it.
+    """
+    if not {"time", "speed", "x", "y"} <= values.keys():
+        return
+    known = np.isfinite(values["time"]) & np.isfinite(values["x"]) & np.isfinite(values["y"])
+    time, first = np.unique(values["time"][known], return_index=True)
+    speed = values["speed"]
+    drives = np.isfinite(values["time"]) & np.isfinite(speed) & (np.abs(speed) > 3.0)
+    if time.size < LEAST_BOTH or drives.sum() < LEAST_BOTH:
+        return
+    x, y = values["x"][known][first], values["y"][known][first]
+    at = values["time"][drives]
+    x, y = (np.interp(at + WINDOW, time, each) - np.interp(at - WINDOW, time, each) for each in (x, y))
+    factor = float(np.median(np.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))
+    if 0.7 <= factor <= 1.4:
+        return
+    remedy = "check their units (--units)"
+    if 0.2 <= factor <= 0.35:
+        remedy = "a speed in km/h: --units speed=km/h"
+    elif 0.4 <= factor <= 0.5:
+        remedy = "a speed in mph: --units speed=mph"
+    elif factor < 1e-3:
+        remedy = "x and y are degrees of latitude and longitude, or another column: --columns x=NAME,y=NAME"
+    raise InvalidInput(f"log: the positions move at {factor:.3g} times the speed: {remedy}.")
 
 
 def check_conventions(log: Log, wheelbase: float) -> None:
@@ -54,6 +98,7 @@ def check_conventions(log: Log, wheelbase: float) -> None:
     felt = _felt(log)
     if abs(felt.correlation) >= CLEAR:
         _refuse_felt(felt, turning)
+    _check_clocks(log, wheelbase, steered)
     if abs(turning.correlation) < CLEAR:
         return
     if turning.factor < 0.0:
@@ -81,7 +126,7 @@ def guessed_ratio(log: Log, wheelbase: float) -> float:
     """
     both = np.isfinite(log.wheel)
     if both.sum() >= LEAST_BOTH:
-        slope = _slope(_smooth(log.time, log.command)[both], _smooth(log.time[both], log.wheel[both]))
+        slope = _slope(smoothed(log.time, log.command)[both], smoothed(log.time[both], log.wheel[both]))
     else:
         slope = _turning(log, wheelbase)
     if not abs(slope.correlation) >= CLEAR:
@@ -136,17 +181,67 @@ def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
         raise InvalidInput("log: the yaw rate is in degrees per second: --units yaw_rate=deg/s.")
 
 
-def _turning(log: Log, wheelbase: float) -> _Slope:
-    """Yaw rate against v delta/(L + K v^2), at the delay and gradient where they agree best."""
+def _check_clocks(log: Log, wheelbase: float, steered: str) -> None:
+    """The yaw rate against the yaw, the lateral acceleration and the steering that it cannot run ahead of."""
+    both = np.isfinite(log.yaw) & np.isfinite(log.yaw_rate) & ~log.begins
+    if both.sum() >= LEAST_BOTH:
+        rate = np.gradient(log.yaw[both], log.time[both])
+        found = _lateness(log.time[both], smoothed(log.time[both], rate), log.yaw_rate[both])
+        if abs(found.factor) > LATE:
+            _refuse_clock("yaw_rate", "yaw", found.factor)
+    both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate) & (log.speed > 8.0)
+    if both.sum() >= LEAST_BOTH:
+        felt = smoothed(log.time[both], log.acceleration[both])
+        found = _lateness(log.time[both], felt, log.speed[both] * log.yaw_rate[both])
+        if not LATE_FELT[0] <= found.factor <= LATE_FELT[1]:
+            _refuse_clock("yaw_rate", "acceleration", found.factor)
+    ahead, behind = (_turning(log, wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
+    if ahead.correlation >= CLEAR and 1.0 - ahead.correlation < AHEAD * (1.0 - abs(behind.correlation)):
+        raise InvalidInput(
+            f"log: the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, "
+            f"--clock {steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
+        )
+
+
+def _lateness(time: Array, true: Array, late: Array) -> _Slope:
+    """s by which the second signal of a motion is later than the first, smoothed, one; their correlation there.
+
+    0 where no shift explains much more than none does.
+    """
+    begins = np.append(0, np.flatnonzero(np.diff(time) > 1.0) + 1)
+    if begins.size > 1:  # the longest stretch
+        ends = np.append(begins[1:], time.size)
+        part = slice(*max(zip(begins, ends, strict=True), key=lambda each: time[each[1] - 1] - time[each[0]]))
+        time, true, late = time[part], true[part], late[part]
+    if time.size < LEAST_BOTH or time[-1] - time[0] < 10.0:
+        return _Slope(0.0, 0.0)
+    late = smoothed(time, late)
+    inside = (time > time[0] + 1.0) & (time < time[-1] - 1.0)
+    fits = [_slope(true[inside], np.interp(time[inside] + shift, time, late)).correlation for shift in SHIFTS]
+    best, none = int(np.argmax(fits)), int(np.argmin(np.abs(SHIFTS)))
+    if fits[best] < 0.9 or 1.0 - fits[best] > MENDED * (1.0 - fits[none]):
+        return _Slope(0.0, fits[none])
+    return _Slope(float(SHIFTS[best]), fits[best])
+
+
+def _refuse_clock(name: str, other: str, late: float) -> None:
+    raise InvalidInput(
+        f"log: {name} is {abs(late):.2f} s {'later' if late > 0.0 else 'earlier'} than {other} says: their clocks "
+        "differ, or one is filtered. Name the column of its own times, --clock {name}=COLUMN, or mend it: --late "
+        f"{name}={late:.2f} (s), or --late {other}={-late:.2f}."
+    )
+
+
+def _turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = WINDOW) -> _Slope:
+    """Yaw rate against v delta/(L + K v^2), at the delay (s) and gradient where they agree best."""
     best = _Slope(math.nan, 0.0)
     present = np.isfinite(log.yaw_rate)
     if present.sum() < LEAST_BOTH:
         return best
-    yaw_rate = _smooth(log.time[present], log.yaw_rate[present])
-    steering = _smooth(log.time, log.command)
-    shift = np.round(DELAYS / log.period).astype(int)
-    for step in np.unique(shift):
-        late = np.concatenate([np.full(step, steering[0]), steering[: steering.size - step]])
+    yaw_rate = smoothed(log.time[present], log.yaw_rate[present], half)
+    steering = smoothed(log.time, log.command, half)
+    for step in np.unique(np.round(delays / log.period).astype(int)):
+        late = steering[np.clip(np.arange(steering.size) - step, 0, steering.size - 1)]
         late = late - np.median(late)
         for gradient in GRADIENTS:
             expected = log.speed * late / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
@@ -160,15 +255,15 @@ def _felt(log: Log) -> _Slope:
     both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
     if both.sum() < LEAST_BOTH:
         return _Slope(math.nan, 0.0)
-    yaw_rate, acceleration = (_smooth(log.time[both], each[both]) for each in (log.yaw_rate, log.acceleration))
+    yaw_rate, acceleration = (smoothed(log.time[both], each[both]) for each in (log.yaw_rate, log.acceleration))
     return _slope(log.speed[both] * yaw_rate, acceleration)
 
 
-def _smooth(time: Array, values: Array) -> Array:
-    """(n,) mean within `WINDOW` of each sample."""
+def smoothed(time: Array, values: Array, half: float = WINDOW) -> Array:
+    """(n,) mean within +-half (s) of each sample."""
     total = np.concatenate([[0.0], np.cumsum(values)])
-    low = np.searchsorted(time, time - WINDOW)
-    high = np.searchsorted(time, time + WINDOW, side="right")
+    low = np.searchsorted(time, time - half)
+    high = np.searchsorted(time, time + half, side="right")
     return (total[high] - total[low]) / (high - low)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,9 @@ from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
-from adaptrack.identification.conventions import check_conventions, guessed_ratio
+from adaptrack.identification.computed import without_computed
+from adaptrack.identification.consistency import Said, beyond_belief, contradictions
+from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
 from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
@@ -28,7 +31,9 @@ from adaptrack.identification.quantities import (
     plain_car,
     understeer,
 )
+from adaptrack.identification.ratio import UNTOLD, gain_of, judged, of_found
 from adaptrack.identification.reading import Columns, Reading, read_columns
+from adaptrack.identification.several import combined, shared_by
 from adaptrack.identification.words import findings
 
 Array = NDArray[np.float64]
@@ -41,12 +46,34 @@ BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
+THIRDS, LEAST_THIRDS = 3, 50.0
+"""Stretches of a log that are compared; s of driving from which they are."""
+SHARED = (
+    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "yaw_inertia", "lf", "ratio", "rate",
+    "relaxation",
+)  # fmt: skip
+"""Estimates that belong to the car: logs of one car share them."""
 _STEP = 1e-4
+
+
+Source = str | os.PathLike[str] | Mapping[str, object]
+"""A log: a file, or arrays by name."""
+
+
+class Fit(NamedTuple):
+    """The most likely point of a log, with what came of reading it."""
+
+    likelihood: Likelihood
+    z: Array
+    covariance: Array
+    """of the free entries of z"""
+    columns: Columns
+    beliefs: dict[str, Prior]
 
 
 @checked
 def identify(
-    log: str | os.PathLike[str] | Mapping[str, object],
+    log: str | os.PathLike[str] | Mapping[str, object] | Sequence[str | os.PathLike[str] | Mapping[str, object]],
     car: str | os.PathLike[str] | Vehicle | None = None,
     *,
     mass: Annotated[Finite, within(1.0, 1e5), "kg"] | None = None,
@@ -55,19 +82,20 @@ def identify(
     known: Mapping[str, Prior] | None = None,
     computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
 ) -> Identification:
-    """Identify a car from a log of its driving.
+    """Identify a car from a log of its driving, or several.
 
     Parameters
     ----------
     log
         A .csv or .parquet file, one of `Trajectory.save`, or arrays by name: time (s), command (rad, road wheels; or
-        wheel, a measured angle), speed (m/s), yaw_rate (rad/s), and, where there are, vy, acceleration, yaw.
+        wheel, a measured angle), speed (m/s), yaw_rate (rad/s), and, where there are, vy, acceleration, yaw. Several
+        logs of one car in a sequence share what belongs to the car (`SHARED`).
     car
         What is believed of the car: mass and geometry are kept, the rest is estimated about it.
     mass, wheelbase
         Instead of a car.
     reading
-        Columns, units, signs and steering ratio, where they are not as the names say.
+        Columns, units, signs, clocks and steering ratio, where they are not as the names say.
     known
         Beliefs that replace those of the car, by the names of `QUANTITIES`.
     computation
@@ -83,28 +111,93 @@ def identify(
         message names the option that mends it.
     """
     believed, beliefs, curve = _believed(car, mass, wheelbase, known)
-    columns = read_columns(log, reading or Reading())
-    likelihood = _prepared(columns, believed, beliefs)
-    cleaned = likelihood.log
-    z, covariance = fitted(likelihood)
+    sources = [log] if isinstance(log, str | os.PathLike | Mapping) else list(log)
+    if not sources:
+        raise InvalidInput("identify: no log.")
+    read = [read_columns(each, reading or Reading()) for each in sources]
+    if computation is not None:
+        read = [replace(each, computation=computation) for each in read]
+    fits = _fits(read, believed, beliefs)
+    alone = [_alone(each, curve) for each in fits]
+    return alone[0] if len(alone) == 1 else _together(fits, alone)
+
+
+def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior]) -> list[Fit]:
+    """Each log by itself; ratios that are to be found are measured from one guess."""
+    own = [dict(beliefs) for _ in read]
+    prepared = [_prepared(columns, believed, each) for columns, each in zip(read, own, strict=True)]
+    unknown = [each.log.ratio for each, columns in zip(prepared, read, strict=True) if columns.ratio_unknown]
+    if len(unknown) > 1:
+        common = float(np.median(unknown))
+        prepared = [_prepared(columns, believed, each, common) for columns, each in zip(read, own, strict=True)]
+    return [
+        Fit(likelihood, *fitted(likelihood), columns, each)
+        for likelihood, columns, each in zip(prepared, read, own, strict=True)
+    ]
+
+
+def _alone(fit: Fit, curve: Tyre) -> Identification:
+    """What one log says."""
+    likelihood, z, covariance, columns, beliefs = fit
+    log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
-    validation, series = _validated(likelihood, z, cleaned, believed, beliefs)
-    given = columns.computation if computation is None else computation
-    words = findings(cleaned, estimates, validation)
+    validation, series = _validated(likelihood, z, log, car, beliefs)
+    kept, against, untold = _ratio(fit, estimates)
+    reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
+    rows = [i for i, name in enumerate(estimates) if name in kept]
     return Identification(
-        estimates, jacobian @ covariance @ jacobian.T, validation, words, cleaned, believed, curve, given, series
-    )
+        kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation,
+        findings(log, estimates, validation) + untold, log, car, curve, columns.computation, series, tuple(reasons),
+    )  # fmt: skip
 
 
-def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior]) -> Likelihood:
+def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identification:
+    """What several logs of one car say together; what is each log's own stays with it."""
+    main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
+    likelihood, first = fits[main].likelihood, alone[main]
+    reasons = contradictions("logs", *_said_by(fits, fits[main]))
+    own = [
+        f"log {i + 1}: {why}" for i, each in enumerate(alone) for why in each.reasons if not why.startswith(UNTOLD)
+    ]  # fmt: skip
+    joint = combined(fits, agree=not (reasons or own))
+    estimates, jacobian = _estimates(likelihood, *joint[main])
+    told = [i for i, each in enumerate(alone) if "ratio" in each.estimates]
+    shared = {name: each for name, each in estimates.items() if name in SHARED and (name != "ratio" or told)}
+    rows = [i for i, name in enumerate(estimates) if name in shared]
+    untold = [why for why in first.reasons if why.startswith(UNTOLD)] if not told else []
+    reasons = [*(reasons or beyond_belief(shared, first.believed)), *own, *untold]
+    return replace(
+        first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
+        findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),
+        reasons=tuple(reasons), alone=tuple(alone),
+    )  # fmt: skip
+
+
+def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
+    """The estimates that may be told, what contradicts the steering ratio, and what cannot be told of it."""
+    log = fit.likelihood.log
+    if "ratio" not in estimates:
+        against, untold = judged(log, gain_of(fit.likelihood, fit.z))
+        return estimates, [against] if against else [], (untold,) if untold else ()
+    told, said = of_found(log, estimates["ratio"])
+    guessed = fit.beliefs["gain"].spread == RATIO_SPREAD[0]
+    if told or not guessed:
+        return estimates, [], (said,) if said else ()
+    return {name: each for name, each in estimates.items() if name != "ratio"}, [said], ()
+
+
+def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ratio: float | None = None) -> Likelihood:
     """The likelihood of a log that is cleaned and whose conventions are checked.
 
-    Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed.
+    Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed unless it is given.
     """
-    cleaned = log_of(columns.values, believed.wheelbase, columns.notes, columns.commanded)
+    check_positions(columns.values)
+    values, computed = without_computed(columns.values, believed.wheelbase)
+    cleaned = log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded)
+    cleaned = replace(cleaned, ratio=columns.ratio)
     if columns.ratio_unknown:
         known = believed.steering.ratio if believed.steering is not None else None
-        ratio = known or guessed_ratio(cleaned, believed.wheelbase)
+        ratio = known or ratio or guessed_ratio(cleaned, believed.wheelbase)
         beliefs["gain"] = Prior(1.0, RATIO_SPREAD[known is not None])
         cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio)
     check_conventions(cleaned, believed.wheelbase)
@@ -182,10 +275,13 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
     def gradient(v: Array) -> float:
         return understeer(v[INDEX["front"]], v[INDEX["rear"]], v[INDEX["mass"]], wheelbase, v[INDEX["front_share"]])
 
+    delayed = "lag and dead time together, from the command to the wheels"
+    if not likelihood.present["wheel"]:
+        delayed = "from the command to the logged yaw rate: lag and dead time of the wheels, and how late a gyro is"
     rows: list[tuple[str, str, str, bool, Callable[[Array], float]]] = []
     if likelihood.log.commanded:
         rows += [
-            ("delay", "s", "lag and dead time together", True, _value("delay")),
+            ("delay", "s", delayed, True, _value("delay")),
             ("lag", "s", "time constant of the steering", True, lambda v: float(v[share] * v[delay])),
             ("dead_time", "s", "until the wheels begin to move", True, lambda v: float((1.0 - v[share]) * v[delay])),
         ]
@@ -218,27 +314,30 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
     return rows
 
 
+def _values(likelihood: Likelihood, rows: Sequence[tuple[Any, ...]], z: Array) -> Array:
+    """What is reported at a point, logarithms of what is positive."""
+    values = likelihood.values(z)
+    return np.array([math.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
+
+
+def _slopes(likelihood: Likelihood, rows: Sequence[tuple[Any, ...]], z: Array) -> Array:
+    """Derivatives of `_values` over the free entries of z."""
+    out = np.empty((len(rows), likelihood.free.size))
+    for i, place in enumerate(likelihood.free):
+        up, down = z.copy(), z.copy()
+        up[place] += _STEP
+        down[place] -= _STEP
+        out[:, i] = (_values(likelihood, rows, up) - _values(likelihood, rows, down)) / (2.0 * _STEP)
+    return out
+
+
 def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dict[str, Estimate], Array]:
     """All that is reported, by the delta method, errors corrected; derivatives over free entries, scaled likewise."""
-    rows = _reported(likelihood)
-
-    def all_of(at: Array) -> Array:
-        values = likelihood.values(at)
-        return np.array([math.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
-
-    def slopes(at: Array) -> Array:
-        out = np.empty((len(rows), likelihood.free.size))
-        for i, place in enumerate(likelihood.free):
-            up, down = at.copy(), at.copy()
-            up[place] += _STEP
-            down[place] -= _STEP
-            out[:, i] = (all_of(up) - all_of(down)) / (2.0 * _STEP)
-        return out
-
-    jacobian, origin = slopes(z), np.zeros(z.size)
+    rows, origin = _reported(likelihood), np.zeros(z.size)
+    jacobian = _slopes(likelihood, rows, z)
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
-    prior = np.linalg.norm(slopes(origin), axis=1)
-    centre, first = all_of(z), all_of(origin)
+    prior = np.linalg.norm(_slopes(likelihood, rows, origin), axis=1)
+    centre, first = _values(likelihood, rows, z), _values(likelihood, rows, origin)
     wider = np.ones(len(rows))
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
@@ -251,25 +350,61 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
         before = [first[i] - NORMAL_90 * prior[i], first[i] + NORMAL_90 * prior[i]]
         value, error = float(centre[i]), float(spread[i])
         if positive:
-            value, ends, before = (
-                math.exp(value),
-                [math.exp(e) for e in ends],
-                [math.exp(min(e, 700.0)) for e in before],
-            )
-            error *= value
+            value, error = math.exp(value), error * math.exp(value)
+            ends, before = [math.exp(e) for e in ends], [math.exp(min(e, 700.0)) for e in before]
         left = float(spread[i] / prior[i]) if prior[i] > 0.0 else 0.0
+        shift = float((centre[i] - first[i]) / prior[i]) if prior[i] > 0.0 else 0.0
         found[name] = Estimate(
-            name,
-            unit,
-            meaning,
-            value,
-            error,
-            float(ends[0]),
-            float(ends[1]),
-            (float(before[0]), float(before[1])),
-            left,
-        )
+            name, unit, meaning, value, error, float(ends[0]), float(ends[1]), (float(before[0]), float(before[1])),
+            left, shift,
+        )  # fmt: skip
     return found, wider[:, None] * jacobian
+
+
+# -- consistency ------------------------------------------------------------------------------------------------------
+def _stretches(fit: Fit) -> tuple[list[str], Said, list[Said]]:
+    """Names of the reported quantities, prior, and what thirds of a log say, each fitted from the whole log's point."""
+    log, parts = fit.likelihood.log, []
+    ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
+    for first, last in pairwise(ends) if log.driven >= LEAST_THIRDS else ():
+        each = fit.likelihood.part(slice(first, last))
+        z, at = each.fit(fit.z, NEARLY)
+        parts.append(fit._replace(likelihood=each, z=z, covariance=each.covariance(at)))
+    return _said_by(parts, fit)
+
+
+def _said_by(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Said, list[Said]]:
+    """Names of the quantities that a main fit reports, prior, and what each fit says of them."""
+    rows = _reported(main.likelihood)
+    prior, said = _prior(main, rows), []
+    for fit in fits:
+        own = _reported(fit.likelihood)
+        mine, place = _said(fit, own), {row[0]: i for i, row in enumerate(own)}
+        mean, variance = prior.mean.copy(), prior.variance.copy()
+        for i, (name, *_) in enumerate(rows):
+            if name in place:
+                mean[i], variance[i] = mine.mean[place[name]], mine.variance[place[name]]
+        said.append(Said(mean, variance))
+    return [row[0] for row in rows], prior, said
+
+
+def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+    """Mean and variance of the reported quantities, errors corrected."""
+    jacobian = _slopes(fit.likelihood, rows, fit.z)
+    mean = _values(fit.likelihood, rows, fit.z)
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian), 0.0))
+    before = np.linalg.norm(jacobian, axis=1)
+    for i, (name, _, _, positive, _) in enumerate(rows):
+        spread[i] = corrected(name, spread[i], math.exp(-mean[i]) if positive else 1.0, before[i])
+    return Said(mean, spread**2)
+
+
+def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+    """What was believed of the reported quantities, linearised where the fit is."""
+    likelihood = fit.likelihood
+    jacobian = _slopes(likelihood, rows, fit.z)
+    mean = _values(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]
+    return Said(mean, np.sum(jacobian**2, axis=1))
 
 
 # -- validation -------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import dump_toml, write_atomically
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle
@@ -41,6 +42,8 @@ class Estimate:
     """90 % interval of what was believed before"""
     spread_left: float
     """share of the spread that was believed before which is left: near 1 the log says nothing"""
+    shift: float = 0.0
+    """standard deviations of what was believed before, from there to the value"""
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,15 @@ class Identification:
     computation: float
     """s, of the log's dead time, that is the controller's"""
     series: Series = field(repr=False)
+    reasons: tuple[str, ...] = ()
+    """in words: why it is not to be trusted; see `consistent`"""
+    alone: tuple[Identification, ...] = field(default=(), repr=False)
+    """of several logs, what each says by itself; `log`, `validation` and `series` are those of the longest"""
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the estimates fit what was believed, physics, and each other from stretch to stretch, log to log."""
+        return not self.reasons
 
     def __getitem__(self, name: str) -> Estimate:
         """An estimate by its name."""
@@ -144,16 +156,24 @@ class Identification:
         limits = {name: min(value, 1.0 if name in _MARGINS else 10.0) for name, value in found.items()}
         return before.replace(**{name: float(f"{value:.4g}") for name, value in limits.items()})
 
-    def to_toml(self, path: str | os.PathLike[str]) -> None:
+    def to_toml(self, path: str | os.PathLike[str], anyway: bool = False) -> None:
         """Write the car as TOML, and beside it its tyre (``-tyre`` behind the name), so that a plant has its stiffness.
 
-        The car gets the file's name. Intervals stand in ``[known_within]`` and in comments.
+        The car gets the file's name. Intervals stand in ``[known_within]`` and in comments. anyway: also when it is not
+        `consistent`.
 
         Raises
         ------
+        InvalidInput
+            When it is not `consistent`; the message says why.
         StorageError
             When the file cannot be written.
         """
+        if self.reasons and not anyway:
+            raise InvalidInput(
+                f"{os.fspath(path)}: not written, the identification is not consistent: {'; '.join(self.reasons)}. "
+                "anyway=True (--anyway) writes it all the same."
+            )
         known, path = self.known_within(), Path(path)
         beside = path.with_name(f"{path.stem}-tyre.toml")
         said = f"{self.tyre_curve.name}, scaled to the axles of {path.stem}"
@@ -169,6 +189,7 @@ class Identification:
             head.append(f"# {each.name}: {each.low:.4g} to {each.high:.4g} {each.unit}")
         if self.computation:
             head.append(f"# steering.dead_time is without {self.computation:g} s of the controller's computation")
+        head += [f"# not consistent: {reason}" for reason in self.reasons]
         head += [f"# {sentence}" for sentence in self.findings]
         write_atomically(path, ("\n".join(head) + "\n\n" + dump_toml(values, meanings)).encode())
 
@@ -179,6 +200,7 @@ class Identification:
                 name: {
                     "value": each.value, "unit": each.unit, "standard_error": each.standard_error, "low": each.low,
                     "high": each.high, "before": list(each.before), "spread_left": each.spread_left,
+                    "shift": each.shift,
                 }
                 for name, each in self.estimates.items()
             },
@@ -186,10 +208,13 @@ class Identification:
                 "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
                 "held_out": self.validation.held_out, "autocorrelation": list(self.validation.autocorrelation),
             },
+            "consistent": self.consistent,
+            "reasons": list(self.reasons),
             "findings": list(self.findings),
             "log": {
                 "samples": self.log.samples, "period": self.log.period, "driven": self.log.driven,
                 "segments": self.log.segments, "notes": list(self.log.notes),
             },
             "computation": self.computation,
+            "alone": [each.to_dict() for each in self.alone],
         }  # fmt: skip

@@ -12,7 +12,7 @@ sum(e' e'^T/S + S' S'^T/(2 S^2)) + I, derivatives by differences (L. Ljung, *Sys
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +117,21 @@ class Likelihood:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
         self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
+
+    @property
+    def beliefs(self) -> dict[str, Prior]:
+        """Of every quantity, as they are now."""
+        pairs = zip(self.median, self.spread, strict=True)
+        return {each.name: Prior(*map(float, pair)) for each, pair in zip(QUANTITIES, pairs, strict=True)}
+
+    def part(self, rows: slice) -> Likelihood:
+        """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
+        begins = self.log.begins[rows].copy()
+        begins[0] = True
+        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
+        each = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
+        each._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
+        return each
 
     def widen_gusts(self, z: Array) -> Array:
         """Keep the wind's spread at `WIDER` times that of a point; the point there.

@@ -23,7 +23,7 @@ from adaptrack.scenario.profile import list_profiles, load_profile
 Array = NDArray[np.float64]
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
-    "time": ("time", "t", "timestamp", "stamp", "seconds", "sec"),
+    "time": ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "sec"),
     "command": (
         "command", "steering_command", "steer_command", "steering_cmd", "steer_cmd", "delta_cmd", "cmd_steering",
         "steering_wheel_command", "u", "cmd", "command_steering_angle", "desired_steering_angle",
@@ -35,7 +35,8 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "steering_wheel": ("steering_wheel_angle", "steering_wheel", "swa", "hand_wheel_angle", "handwheel_angle"),
     "speed": ("speed", "vx", "v_x", "velocity", "v", "ego_speed", "vehicle_speed", "v_ego", "longitudinal_velocity"),
     "yaw_rate": (
-        "yaw_rate", "yawrate", "r", "gyro_z", "gyroz", "wz", "omega_z", "psi_dot", "dpsi", "angular_velocity_z",
+        "yaw_rate", "yawrate", "r", "gyro_z", "gyroz", "wz", "omega_z", "omega", "psi_dot", "dpsi",
+        "angular_velocity_z",
     ),
     "vy": ("vy", "v_y", "lateral_velocity"),
     "acceleration": (
@@ -58,10 +59,12 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 _SHORT = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radps": "rad/s", "rad_s": "rad/s", "rad/s": "rad/s",
     "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h",
-    "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns",
-    "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
+    "kmph": "km/h", "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us",
+    "ns": "ns", "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
 }  # fmt: skip
 """Units as column names have them."""
+FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3
+"""Periods of its own clock, and s: a signal has no value farther than the larger of them from its samples."""
 _NOTHING = ("", "nan", "NaN", "NA", "null")
 _AT_STEERING_WHEEL = re.compile(r"steering_?wheel|swa$|hand_?wheel")
 
@@ -85,9 +88,13 @@ class Reading:
     steering_ratio: float | Literal["fit"] | None = None
     """-, of the logged steering angles over those of the road wheels; ``"fit"``: to be found; None: to be found for
     columns whose name says that they are angles of the steering wheel, 1 for others"""
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    """signal -> column of its own times; those of the others are in ``time``"""
+    late: Mapping[str, float] = field(default_factory=dict)
+    """signal -> s by which its values are older than their times say; negative: younger"""
 
     def __post_init__(self) -> None:
-        for name in (*self.columns, *(u for u in self.units if u), *self.flip):
+        for name in (*self.columns, *(u for u in self.units if u), *self.flip, *self.clocks, *self.late):
             if name not in ALIASES:
                 raise InvalidInput(f"identify: no signal is named {name!r}. {did_you_mean(name, ALIASES)}")
         for name, unit in self.units.items():
@@ -95,6 +102,9 @@ class Reading:
                 raise InvalidInput(f"identify: units = {unit!r}: deg or rad for all, or signal=unit.")
             if name and _SHORT.get(unit, unit) not in _UNITS[_dimension(name)]:
                 raise InvalidInput(f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[_dimension(name)])}.")
+        for name, late in self.late.items():
+            if not abs(reals(f"identify: late[{name!r}]", late)) <= 10.0:
+                raise InvalidInput(f"identify: {name} is late by {late!r}: must be within 10 s.")
         ratio = self.steering_ratio
         if ratio not in (None, "fit") and not (isinstance(ratio, int | float) and 0.1 <= ratio <= 100.0):
             raise InvalidInput(f"identify: steering ratio {ratio!r}: must be from 0.1 to 100, or fit.")
@@ -113,6 +123,8 @@ class Columns:
     """whether ``command``, where it is, is one, rather than a measured angle of the steering wheel"""
     ratio_unknown: bool = False
     """whether ``command`` is an angle of the steering wheel, whose ratio is to be found"""
+    ratio: float = 1.0
+    """-, by which steering angles were divided"""
 
 
 def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
@@ -127,8 +139,8 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     """
     if isinstance(source, Mapping):
         table, where, computation = {str(k): reals(f"log: column {k!r}", v) for k, v in source.items()}, "log", 0.0
-        if len({v.shape for v in table.values()}) > 1 or any(v.ndim != 1 for v in table.values()):
-            raise InvalidInput("log: the columns must be vectors of one length.")
+        if any(v.ndim != 1 for v in table.values()):
+            raise InvalidInput("log: the columns must be vectors.")
     else:
         where = os.fspath(source)
         table, computation = _table(Path(source))
@@ -140,10 +152,77 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         values[signal] = table[column] * factor * sign
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
+    _on_one_clock(values, _clocks(table, reading, where), reading.late, notes)
     commanded, unknown = _at_road_wheels(values, found, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
-    return Columns(values, tuple(notes), where, computation, commanded, unknown)
+    given = reading.steering_ratio
+    ratio = float(given) if isinstance(given, int | float) else 1.0
+    return Columns(values, tuple(notes), where, computation, commanded, unknown, ratio)
+
+
+def _clocks(table: Mapping[str, Array], reading: Reading, where: str) -> dict[str, Array]:
+    """Signal -> s, the times of its own clock."""
+    clocks = {}
+    for signal, column in reading.clocks.items():
+        if column not in table:
+            raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table)}")
+        clocks[signal] = table[column] * _unit("time", column, reading)[1]
+    return clocks
+
+
+def _on_one_clock(
+    values: dict[str, Array], clocks: Mapping[str, Array], late: Mapping[str, float], notes: list[str]
+) -> None:
+    """Give every signal its values at the log's times; without any, those are the times of the yaw rate."""
+    if "time" not in values and "yaw_rate" in clocks:
+        values["time"] = clocks["yaw_rate"]
+    time = values.get("time")
+    if time is None:
+        return
+    for signal in [each for each in values if each != "time"]:
+        clock = clocks.get(signal, time)
+        if values[signal].size != clock.size:
+            raise InvalidInput(
+                f"log: {signal} has {values[signal].size} values and {clock.size} times: vectors of one length are "
+                f"needed, or a clock of its own (--clock {signal}=COLUMN)."
+            )
+        if signal in clocks or signal in late:
+            values[signal] = _resampled(signal, time, clock - late.get(signal, 0.0), values[signal])
+            own = "at the times of its own clock" if signal in clocks else f"{late[signal]:g} s earlier than stamped"
+            notes.append(f"{signal} is read {own}")
+
+
+def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
+    """A signal at other times: a command as it is held, others on straight lines, and no sample used twice.
+
+    A signal slower than the log's times has a value only at that which is nearest to each of its samples, but the
+    speed, which the model needs everywhere. NaN where no sample is near.
+    """
+    known = np.isfinite(clock) & np.isfinite(values)
+    clock, first = np.unique(clock[known], return_index=True)
+    values = values[known][first]
+    out = np.full(time.size, np.nan)
+    ask = np.isfinite(time)
+    if clock.size < 2:
+        return out
+    period = float(np.median(np.diff(clock)))
+    hole = max(FROM_ITS_CLOCK * period, LEAST_HOLE)
+    if signal == "yaw":
+        values = np.unwrap(values)
+    at = time[ask]
+    before = np.clip(np.searchsorted(clock, at + 1e-9, side="right") - 1, 0, clock.size - 1)
+    after = np.minimum(before + 1, clock.size - 1)
+    if signal == "command":
+        near, taken = (at + 1e-9 >= clock[before]) & (at - clock[before] <= hole), values[before]
+    else:
+        near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
+        taken = np.interp(at, clock, values)
+        if signal != "speed" and period > 1.5 * float(np.median(np.diff(at))):
+            nearest = np.clip(np.searchsorted(0.5 * (at[1:] + at[:-1]), clock), 0, at.size - 1)
+            near &= np.isin(np.arange(at.size), nearest)
+    out[ask] = np.where(near, taken, np.nan)
+    return out
 
 
 def _at_road_wheels(
@@ -217,7 +296,10 @@ def _csv(path: Path, content: bytes) -> dict[str, Array]:
     import pyarrow.csv
 
     lines = content.decode("utf-8-sig", errors="replace").splitlines()
+    said = [line for line in lines if line.lstrip().startswith("#")]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if said and lines and re.fullmatch(r"[-+0-9.eE,;\s]+", lines[0]):  # the names stand in a comment
+        lines.insert(0, said[-1].lstrip("# \t"))
     if len(lines) < 2:
         raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
     delimiter = max(",;\t", key=lines[0].count)

@@ -15,8 +15,6 @@ FAST, LITTLE = 15.0, 0.3
 """m/s; m/s^2, RMS lateral acceleration below which there is hardly any steering."""
 LOOSE = 1.25
 """Factor from which a stiffness is loose."""
-RATIO_LOOSE = 1.1
-"""Factor within which a steering ratio is of use."""
 SPLIT = 0.05
 """s, half width of the lag's interval from which the split of the delay is said to be open."""
 EVEN_SPEED, COLOURED, POOR, HARD = 0.05, 0.1, 0.5, 4.0
@@ -48,12 +46,16 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
                 f"lag and dead time are known in sum ({estimates['delay'].value:.3g} s), not how they share it: quick "
                 "steering, or a measured wheel angle, tells them apart"
             )
+        if not np.isfinite(log.wheel).any():
+            said.append(
+                "cannot tell a late yaw rate from late wheels: delay is from the command to the logged yaw rate"
+            )
     else:
-        said.append("no steering command in the log: lag and dead time keep what was believed")
-    if estimates["yaw_inertia"].spread_left > HARDLY:
-        said.append("yaw inertia keeps what was believed: steer faster, or log the lateral acceleration")
-    if "ratio" in estimates:
-        said += _of_ratio(estimates["ratio"])
+        said.append("no steering command in the log: cannot tell lag and dead time, they keep what was believed")
+    if estimates["yaw_inertia"].spread_left > HARDLY and abs(estimates["yaw_inertia"].shift) < 1.0:
+        said.append(
+            "cannot tell the yaw inertia, it keeps what was believed: steer faster, or log the lateral acceleration"
+        )
     if float(np.std(log.speed)) < EVEN_SPEED * float(np.mean(log.speed)):
         said.append("the speed hardly changes: steering offset, bank and gyro offset are known in sum only")
     if float(np.percentile(np.abs(sideways), 99)) > HARD:
@@ -67,13 +69,3 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
             "explained: the rest is wind, road, or a wrong column"
         )
     return tuple(said)
-
-
-def _of_ratio(ratio: Estimate) -> list[str]:
-    """What a log cannot tell of the steering ratio."""
-    factor = ratio.high / ratio.value
-    if ratio.spread_left > HARDLY:
-        return ["the steering ratio cannot be found: drive slow bends, or give --steering-ratio"]
-    if factor > RATIO_LOOSE:
-        return [f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"]
-    return []

@@ -71,16 +71,18 @@ def identification_result(found: Identification, command: str = "") -> Result:
     explained = f"{100 * checked.one_step:.1f} % of the yaw rate's variance is explained one step ahead"
     return Result(
         kind="identification",
-        title=f"A car from a log: {found.believed.name}",
+        title=f"A car from {f'{len(found.alone)} logs' if found.alone else 'a log'}: {found.believed.name}",
         answer=f"{_first(found)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
         record=found.to_dict(),
         tables=_tables(found),
         notes=[f"{capital(each)}." for each in (*log.notes, *found.findings)],
         pictures=[_measured_and_simulated(found), _residuals(found), _excited(found)],
-        failed=not checked.simulated > 0.5,
+        failed=not (found.consistent and checked.simulated > 0.5),
+        headline="" if found.consistent else "Not consistent",
         values={
             "checked": checked, "log": log, "believed": found.believed, "rate": 1.0 / log.period,
             "findings": [f"{capital(each)}." for each in found.findings],
+            "reasons": [f"{capital(each)}." for each in found.reasons],
             "first": [_in_units(found[name]) for name in _FIRST if name in found.estimates],
         },
         command=command,
@@ -141,6 +143,25 @@ def _tables(found: Identification) -> list[ResultTable]:
             "quantities", "Quantities with their 90 % intervals", PAGE, rows,
             best=where(rows, ["value"], lambda row: True),
         ),
+        *_of_each_log(found),
+    ]  # fmt: skip
+
+
+def _of_each_log(found: Identification) -> list[ResultTable]:
+    """What each of several logs says by itself."""
+    rows: list[Row] = []
+    for name in found.estimates:
+        told = [each.estimates.get(name) for each in found.alone]
+        intervals = [(each.low, each.high) if each and 0.0 < each.spread_left < 1.0 else None for each in told]
+        if any(intervals):
+            each_log = {f"log_{i + 1}": interval for i, interval in enumerate(intervals)}
+            rows.append({"quantity": name.replace("_", " "), "unit": found[name].unit} | each_log)
+    columns = [Column(f"log_{i + 1}", f"Log {i + 1}", show=3) for i in range(len(found.alone))]
+    if not found.alone:
+        return []
+    title = "90 % intervals of each log by itself"
+    return [
+        ResultTable("logs", title, (Column("quantity", "Quantity"), *columns, Column("unit", "Unit")), rows, brief=True)
     ]  # fmt: skip
 
 

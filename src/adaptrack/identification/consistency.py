@@ -1,0 +1,124 @@
+"""Whether what was found can be believed: against what was believed before, physics, and itself.
+
+Stretches of a log, and logs of one car, each say something of the quantities that belong to the car. Freed of the
+prior, which they share, what they say is independent, and its weighted scatter is chi-square (W. G. Cochran,
+Biometrics 10 (1954) 101-129). Each is granted an error of the model beside that of its noise: tyres warm up, loads
+shift, friction changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.identification.identified import Estimate
+from adaptrack.identification.quantities import degrees_per_g
+
+Array = NDArray[np.float64]
+
+FARTHEST = 3.0
+"""Standard deviations of the prior, beyond which an estimate is not of such a car."""
+LEVEL = 0.01
+"""Of a false alarm over all quantities that are compared (Bonferroni)."""
+MODEL_ERRORS: Mapping[str, float] = {
+    "delay": 0.015, "lag": 0.03, "dead_time": 0.03, "understeer_gradient": 0.0003, "front": 0.12, "rear": 0.12,
+    "yaw_inertia": 0.12, "lf": 0.05, "ratio": 0.05, "rate": 0.2, "relaxation": 0.5,
+}  # fmt: skip
+"""Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to
+each: delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
+_ABSOLUTE = ("delay", "lag", "dead_time", "understeer_gradient")
+INFORMED = 0.8
+"""Share of the prior's spread that must at most be left where a stretch or log has a say."""
+AXLE_PLACE, RADII, GRADIENTS, STIFFNESS = (0.3, 0.7), (0.4, 2.0), (-1.0, 8.0), (1.5, 100.0)
+"""Of cars on four wheels: l_f over the wheelbase; yaw inertia over m l_f l_r (0.7 to 1.3 in the measurements of W. R.
+Garrott, SAE 930897); understeer gradient, deg/g; cornering stiffness of an axle over its load, 1/rad."""
+
+
+class Said(NamedTuple):
+    """What one stretch or log says of the reported quantities; logarithms for what is positive, (m,) each."""
+
+    mean: Array
+    variance: Array
+
+
+def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+    """Estimates that lie outside what was believed, or what any car has, in words."""
+    said = []
+    for each in estimates.values():
+        if abs(each.shift) > FARTHEST and not each.name.startswith("noise"):
+            said.append(
+                f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what "
+                f"was believed ({each.before[0]:.3g} to {each.before[1]:.3g})"
+            )
+    return said + _beyond_physics(estimates, car)
+
+
+def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+    """Of what was not believed either: a car file may hold a strange car."""
+    wheelbase, lf = car.wheelbase, found["lf"].value
+    lr = max(wheelbase - lf, 1e-3)
+    load = car.mass * GRAVITY / wheelbase
+    rows = (
+        ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE),
+        ("yaw_inertia", "yaw inertia over m l_f l_r", "", 1.0 / (car.mass * lf * lr), RADII),
+        ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), GRADIENTS),
+        ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), STIFFNESS),
+        ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), STIFFNESS),
+    )
+    return [
+        f"{what} {scale * found[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
+        for name, what, unit, scale, (low, high) in rows
+        if not low <= scale * found[name].value <= high
+        and not found[name].before[0] <= found[name].value <= found[name].before[1]
+    ]
+
+
+def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[Said]) -> list[str]:
+    """Quantities in which stretches or logs (``what``) contradict each other, in words.
+
+    names: of the m quantities; those of `MODEL_ERRORS` are compared.
+    """
+    tests = []
+    for i, name in enumerate(names):
+        if name not in MODEL_ERRORS:
+            continue
+        freed = [_freed(prior.mean[i], prior.variance[i], each.mean[i], each.variance[i]) for each in said]
+        told = [(value, variance) for value, variance in freed if math.isfinite(variance)]
+        if len(told) > 1:
+            tests.append((name, np.array(told).T))
+    found = []
+    for name, (values, variances) in tests:
+        positive = name != "understeer_gradient"
+        error = MODEL_ERRORS[name]
+        if positive and name in _ABSOLUTE:
+            error /= math.exp(float(np.mean(values)))
+        weights = 1.0 / (variances + error**2)
+        scatter = float(np.sum(weights * (values - np.sum(weights * values) / weights.sum()) ** 2))
+        if chi2.sf(scatter, values.size - 1) < LEVEL / len(tests):
+            each = ", ".join(_written(name, value) for value in values)
+            found.append(
+                f"{what} contradict each other on {name}: {each} (chi-square {scatter:.0f} with {values.size - 1} "
+                f"degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by chance in "
+                f"{100 * LEVEL:g} % of logs)"
+            )
+    return found
+
+
+def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:
+    """Mean and variance of what was said without the prior; an infinite variance where next to nothing was."""
+    if not 0.0 < variance < INFORMED**2 * prior_variance:
+        return mean, math.inf
+    precision = 1.0 / variance - 1.0 / prior_variance
+    return (mean / variance - prior / prior_variance) / precision, 1.0 / precision
+
+
+def _written(name: str, value: float) -> str:
+    if name == "understeer_gradient":
+        return f"{degrees_per_g(value):.2f} deg/g"
+    return f"{math.exp(min(value, 700.0)):.3g}"

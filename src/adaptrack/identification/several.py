@@ -1,0 +1,130 @@
+"""Several logs of one car: what belongs to the car is shared, the rest is each log's own.
+
+Each log's posterior is freed of the prior, which they share, and what remains is added in information form: with
+means m_k and covariances C_k of the shared entries of z, whose prior is standard normal,
+
+    C^-1 = I + sum(C_k^-1 - I),    C^-1 m = sum(C_k^-1 m_k)
+
+(the logs are independent given the car). Once more at the common point, which mends what is not linear. Each log's own
+entries follow as they do in its Gaussian posterior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.identification.likelihood import Likelihood
+from adaptrack.identification.quantities import QUANTITIES
+
+Array = NDArray[np.float64]
+
+OF_THE_CAR = ("delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation")
+"""Quantities that logs of one car share."""
+FARTHEST = 1.5
+"""Spreads of the prior, that the second pass may move a log's own point: beyond, its first is kept."""
+
+
+class Fitted(Protocol):
+    """A log's most likely point."""
+
+    @property
+    def likelihood(self) -> Likelihood: ...
+    @property
+    def z(self) -> Array: ...
+    @property
+    def covariance(self) -> Array: ...
+
+
+def shared_by(likelihood: Likelihood) -> list[int]:
+    """Entries of z that belong to the car and are free."""
+    return [int(i) for i in likelihood.free if QUANTITIES[i].name in OF_THE_CAR]
+
+
+def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
+    """For each log the point z and the covariance of its free entries, given all logs.
+
+    agree: whether they do; those that do not are granted the scatter of their means as an error of their own (random
+    effects; R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177-188), and are not linearised again.
+    """
+    posteriors = [(each.z, each.covariance) for each in fits] if agree else _parted(fits)
+    mean, information = _added(fits, posteriors)
+    if agree:
+        there = [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
+        posteriors = [
+            _again(each, z, posterior) for each, (z, _), posterior in zip(fits, there, posteriors, strict=True)
+        ]
+        mean, information = _added(fits, posteriors)
+    return [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
+
+
+def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
+    """Posteriors wider by the scatter of the logs' means."""
+    means = np.full((len(fits), len(OF_THE_CAR)), np.nan)
+    for row, each in zip(means, fits, strict=True):
+        rows, places = _places(each.likelihood)
+        row[places] = each.z[each.likelihood.free][rows]
+    known = np.isfinite(means)
+    scatter = np.where(known, means - np.where(known, means, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 0.0)
+    between = (scatter**2).sum(axis=0) / np.maximum(known.sum(axis=0) - 1, 1)
+    wider = []
+    for each in fits:
+        rows, places = _places(each.likelihood)
+        covariance = each.covariance.copy()
+        covariance[rows, rows] += between[places]
+        wider.append((each.z, covariance))
+    return wider
+
+
+def _places(likelihood: Likelihood) -> tuple[list[int], list[int]]:
+    """Rows of the shared entries among the free ones, and among `OF_THE_CAR`."""
+    shared = shared_by(likelihood)
+    names = [QUANTITIES[i].name for i in shared]
+    return list(np.searchsorted(likelihood.free, shared)), [OF_THE_CAR.index(name) for name in names]
+
+
+def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Mean and information of `OF_THE_CAR` given all logs."""
+    information, toward = np.eye(len(OF_THE_CAR)), np.zeros(len(OF_THE_CAR))
+    for each, (z, covariance) in zip(fits, posteriors, strict=True):
+        rows, places = _places(each.likelihood)
+        precision = np.linalg.inv(covariance[np.ix_(rows, rows)])
+        values, vectors = np.linalg.eigh(precision - np.eye(len(rows)))
+        told = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        mean = z[each.likelihood.free][rows]
+        freed = np.linalg.pinv(told, hermitian=True) @ (precision @ mean)
+        information[np.ix_(places, places)] += told
+        toward[places] += told @ freed
+    return np.asarray(np.linalg.solve(information, toward), dtype=np.float64), information
+
+
+def _given(
+    fit: Fitted, z: Array, covariance: Array, mean: Array, information: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """A log's point and covariance, where the shared entries are as all logs have them."""
+    free = fit.likelihood.free
+    rows, places = _places(fit.likelihood)
+    common = np.linalg.inv(information)[np.ix_(places, places)]
+    follow = covariance[:, rows] @ np.linalg.inv(covariance[np.ix_(rows, rows)])
+    there = z.copy()
+    there[free] += follow @ (mean[places] - z[free][rows])
+    return there, covariance + follow @ (common - covariance[np.ix_(rows, rows)]) @ follow.T
+
+
+def _again(fit: Fitted, z: Array, before: tuple[Array, Array]) -> tuple[Array, Array]:
+    """A log's posterior, linearised at the common point; as before where that is too far for one step."""
+    likelihood = fit.likelihood
+    try:
+        at = likelihood.scored(z)
+    except InvalidInput:
+        return before
+    step = np.linalg.solve(at.information, at.gradient)
+    if np.abs(step).max() > FARTHEST:
+        return before
+    there = z.copy()
+    there[likelihood.free] -= step
+    return there, likelihood.covariance(at)

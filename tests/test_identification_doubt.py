@@ -1,0 +1,244 @@
+"""What `identify` does not believe: computed columns, contradictory stretches and logs, a ratio that nothing tells."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import adaptrack as at
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cli.app import app
+from adaptrack.identification.computed import without_computed
+from adaptrack.identification.consistency import Said, contradictions
+from adaptrack.identification.conventions import check_conventions, check_positions
+from adaptrack.identification.from_log import prepare
+from adaptrack.identification.log import log_of
+from adaptrack.identification.reading import Reading, read_columns
+from test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
+
+BASE = ("time", "command", "speed", "yaw_rate")
+RATIO = 15.0
+
+
+def base(duration: float = 60.0, seed: int = 0) -> dict[str, np.ndarray]:
+    """Time, command, speed and yaw rate of a log."""
+    made = driven(duration, seed)
+    return {name: made[name] for name in BASE}
+
+
+def held(command: np.ndarray, rows: int) -> np.ndarray:
+    """A command some rows later."""
+    return command[np.maximum(np.arange(command.size) - rows, 0)]
+
+
+@cache
+def motorway() -> dict[str, Any]:
+    """A minute straight on in gusts: a driver who keeps the lane by a steering wheel whose angle is logged."""
+    rng, step, speed, look, late = np.random.default_rng(0), 0.01, 31.0, 30.0, 20
+    front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
+    count = round(70.0 / step)
+    vy = r = yaw = y = gust = 0.0
+    wheel, rate = np.zeros(count + late), np.zeros(count)
+    for k in range(count):
+        gust += -gust * step / 0.8 + math.sqrt(2.0 * step / 0.8) * rng.standard_normal()
+        wheel[k + late] = -2.0 * (CAR.wheelbase + CAR.understeer_gradient * speed**2) * (y + look * yaw) / look**2
+        force_front = front * (wheel[k] - (vy + CAR.lf * r) / speed)
+        force_rear = -rear * (vy - CAR.lr * r) / speed
+        rate[k] = r
+        y, yaw = y + step * (vy + speed * yaw), yaw + step * r
+        vy += step * ((force_front + force_rear + 1000.0 * gust) / CAR.mass - speed * r)
+        r += step * (CAR.lf * force_front - CAR.lr * force_rear + 800.0 * gust) / CAR.yaw_inertia
+    rows = slice(0, count, 5)
+    time = step * np.arange(count)[rows]
+    return {
+        "time": time, "speed": speed + 0.5 * np.sin(0.1 * time), "steering_wheel_angle": RATIO * wheel[:count][rows],
+        "yaw_rate": rate[rows] + 0.001 * rng.standard_normal(time.size),
+    }  # fmt: skip
+
+
+# -- columns that nothing measured ------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "how", "said"),
+    [
+        ("acceleration", lambda m: np.round(m["speed"] * m["yaw_rate"], 3), "speed times yaw rate"),
+        ("wheel", lambda m: np.round(held(m["command"], 3) / 1.2, 5), "the command, 0.15 s later"),
+        ("yaw", lambda m: np.cumsum(PERIOD * m["yaw_rate"]), "one measurement"),
+        ("vy", lambda m: 0.0 * m["time"], "0 in every row"),
+        ("vy", lambda m: 1.2 * m["yaw_rate"], "the yaw rate times a constant"),
+    ],
+)
+def test_a_column_that_is_computed_from_others_is_left_out_and_said(name: str, how: Any, said: str) -> None:
+    likelihood = prepare(base() | {name: how(base())}, CAR)
+    assert not likelihood.present[name]
+    (note,) = likelihood.log.notes
+    assert note.startswith(name)
+    assert said in note
+
+
+def test_a_yaw_rate_that_is_the_derivative_of_the_yaw_counts_once() -> None:
+    made = base()
+    yaw = np.cumsum(PERIOD * made["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(made["time"].size)
+    for rate in (np.gradient(yaw, made["time"]), np.diff(yaw, prepend=yaw[0]) / PERIOD):
+        kept, notes = without_computed(made | {"yaw": yaw, "yaw_rate": rate}, CAR.wheelbase)
+        assert "yaw" not in kept
+        assert "one measurement" in notes[0]
+
+
+def test_columns_that_sensors_measured_are_kept() -> None:
+    made, rng = driven(60.0, noise=0.0), np.random.default_rng(1)
+    measured = made | {"yaw": np.cumsum(PERIOD * made["yaw_rate"]), "vy": 1.2 * made["yaw_rate"]}
+    for name, noise in (("yaw", 1e-3), ("vy", 0.01), ("yaw_rate", 1e-3)):
+        measured[name] = measured[name] + noise * rng.standard_normal(made["time"].size)
+    measured["wheel"] = np.round(measured["wheel"], 4)
+    kept, notes = without_computed(measured, CAR.wheelbase)
+    assert not notes
+    assert kept.keys() == measured.keys()
+
+
+def test_a_yaw_rate_that_the_kinematic_model_computed_is_refused() -> None:
+    made = base()
+    rate = np.round(made["speed"] * np.tan(made["command"]) / 2.6, 6)
+    with pytest.raises(InvalidInput, match=r"computed, not measured.*--columns yaw_rate=NAME"):
+        without_computed(made | {"yaw_rate": rate}, CAR.wheelbase)
+
+
+# -- clocks -----------------------------------------------------------------------------------------------------------
+def test_a_column_with_a_clock_of_its_own_is_read_by_its_times() -> None:
+    t, fast, slow = np.arange(0.0, 60.0, 0.05), np.arange(-0.3, 61.0, 0.01), np.arange(0.02, 60.0, 0.2)
+    log = {
+        "time": t, "command": np.sin(t), "speed": 10.0 + 0.0 * t, "imu_ms": 1e3 * fast, "yaw_rate": np.sin(fast),
+        "t_gps": slow, "vy": np.cos(slow),
+    }  # fmt: skip
+    reading = Reading(clocks={"yaw_rate": "imu_ms", "vy": "t_gps"}, late={"command": 0.2})
+    read = read_columns(log, reading).values
+    assert np.allclose(read["yaw_rate"], np.sin(t), atol=1e-4)
+    once = np.isfinite(read["vy"])
+    assert once.sum() <= slow.size
+    assert np.allclose(read["vy"][once], np.cos(t[once]), atol=0.01)
+    assert np.allclose(read["command"][:-5], np.sin(t[:-5] + 0.2), atol=1e-9)
+    with pytest.raises(InvalidInput, match="a clock of its own"):
+        read_columns(log, Reading())
+    with pytest.raises(InvalidInput, match="no column 't_odo'"):
+        read_columns(log, Reading(clocks={"speed": "t_odo"}))
+
+
+def test_a_gyro_whose_clock_is_off_is_named_where_the_yaw_shows_it() -> None:
+    made = driven(60.0)
+    yaw = np.cumsum(PERIOD * made["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(made["time"].size)
+    log = base() | {"yaw": yaw}
+    check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
+    late = log | {"yaw_rate": np.interp(made["time"] - 0.2, made["time"], made["yaw_rate"])}
+    with pytest.raises(InvalidInput, match=r"--late yaw_rate=0\.(18|2)"):
+        check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
+
+
+def test_a_yaw_rate_that_runs_ahead_of_the_steering_is_named() -> None:
+    made = base()
+    late = made | {"command": np.interp(made["time"] - LAG - DEAD_TIME - 0.3, made["time"], made["command"])}
+    with pytest.raises(InvalidInput, match=r"runs ahead of command.*--late command"):
+        check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
+
+
+def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
+    made = base()
+    yaw = np.cumsum(PERIOD * made["yaw_rate"])
+    values = made | {
+        "x": np.cumsum(PERIOD * made["speed"] * np.cos(yaw)), "y": np.cumsum(PERIOD * made["speed"] * np.sin(yaw))
+    }  # fmt: skip
+    check_positions(values)
+    with pytest.raises(InvalidInput, match="--units speed=km/h"):
+        check_positions(values | {"speed": 3.6 * made["speed"]})
+
+
+def test_names_in_a_comment_are_read(tmp_path) -> None:
+    path, made = tmp_path / "log.csv", base()
+    table = np.column_stack([made[name] for name in BASE])
+    np.savetxt(path, table, delimiter=",", header="time(s),delta_cmd(rad),vx(m/s),omega(rad/s)")
+    assert np.allclose(read_columns(path, Reading()).values["yaw_rate"], made["yaw_rate"])
+
+
+# -- what is not told, what contradicts -------------------------------------------------------------------------------
+def test_the_delay_of_a_command_alone_is_said_to_end_at_the_logged_yaw_rate() -> None:
+    found = at.identify(base(40.0), CAR)
+    assert found.consistent
+    assert "to the logged yaw rate" in found["delay"].meaning
+    assert any("cannot tell a late yaw rate" in each for each in found.findings)
+
+
+def test_a_ratio_from_a_log_without_bends_is_not_accepted(tmp_path) -> None:
+    found = at.identify(motorway(), CAR)
+    assert not found.consistent
+    assert "ratio" not in found.estimates
+    assert any(each.startswith("cannot tell the ratio") for each in found.reasons)
+    with pytest.raises(InvalidInput, match=r"cannot tell the ratio.*anyway"):
+        found.to_toml(tmp_path / "mine.toml")
+    found.to_toml(tmp_path / "mine.toml", anyway=True)
+    assert "not consistent: cannot tell the ratio" in (tmp_path / "mine.toml").read_text()
+
+
+@pytest.mark.parametrize("factor", [1.3, 1.0 / 1.3])
+def test_a_steering_ratio_that_is_wrong_by_30_percent_is_said(factor: float) -> None:
+    made = base()
+    found = at.identify(made | {"command": factor * made["command"]}, CAR)
+    (said,) = [each for each in found.reasons if "ratio is wrong" in each]
+    assert f"turn {1.0 / factor:.2f}" in said
+
+
+def test_stretches_that_contradict_each_other_are_said_with_their_level() -> None:
+    made = base(60.0)
+    moved = np.where(made["time"] < 40.0, held(made["command"], 2), made["command"])
+    found = at.identify(made | {"command": moved}, CAR)
+    (said,) = [each for each in found.reasons if "on delay" in each]
+    assert said.startswith("stretches of the log contradict each other on delay")
+    assert "chi-square" in said
+
+
+def test_chance_is_no_contradiction() -> None:
+    prior, rng = Said(np.zeros(3), np.ones(3)), np.random.default_rng(11)
+    names = ("front", "rear", "ratio")
+    said = [
+        [Said(0.05 * rng.standard_normal(3), np.full(3, 0.05**2)) for _ in range(3)] for _ in range(200)
+    ]  # fmt: skip
+    assert sum(bool(contradictions("logs", names, prior, each)) for each in said) <= 4
+    apart = [Said(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
+    (reason,) = contradictions("logs", names, prior, apart)
+    assert "front: 1, 1, 2.7" in reason
+
+
+@pytest.mark.compiled
+def test_logs_of_one_car_tell_more_than_each_of_them() -> None:
+    found = at.identify([base(40.0, 1), base(40.0, 2)], CAR)
+    assert found.consistent, found.reasons
+    truth = {"delay": LAG + DEAD_TIME, "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear}
+    for name, true in truth.items():
+        each = found[name]
+        assert abs(each.value - true) < 3.0 * each.standard_error, name
+        assert each.standard_error < 0.95 * min(alone[name].standard_error for alone in found.alone)
+    assert "offset" not in found.estimates
+    assert all(abs(alone["offset"].value - BIAS) < 0.003 for alone in found.alone)
+
+
+@pytest.mark.compiled
+def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothing(tmp_path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    other = base(40.0, 2)
+    other["command"] = np.append(other["command"][3:], other["command"][-3:])
+    for name, log in (("a", base(40.0, 1)), ("b", other)):
+        pyarrow.parquet.write_table(pyarrow.table(log), tmp_path / f"{name}.parquet")
+    mine = tmp_path / "mine.toml"
+    words = ["identify", *(str(tmp_path / f"{name}.parquet") for name in "ab"), "--out", str(mine)]
+    words += ["--mass", f"{CAR.mass}", "--wheelbase", f"{CAR.wheelbase}"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 3, done.output
+    assert "not consistent: logs contradict each other on delay" in done.output
+    assert not mine.exists()
+    done = CliRunner().invoke(app, [*words, "--anyway"])
+    assert done.exit_code == 0, done.output
+    assert at.load_vehicle(mine).name == "mine"
