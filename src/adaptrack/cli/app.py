@@ -23,6 +23,7 @@ from adaptrack.cli import (
     manoeuvre,
     reproduce,
     road,
+    shadow,
     simulate,
     train,
     tune,
@@ -61,6 +62,7 @@ def _options(
 for command in (
     drive.drive,
     identify.identify,
+    shadow.shadow,
     simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,
