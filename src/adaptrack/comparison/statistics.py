@@ -140,15 +140,17 @@ def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Rati
     squared: (m, n) squared errors of m contenders at n instants; block: (n,) whole numbers: instants of one block are
     drawn together, for errors that follow each other are alike (moving blocks: H. R. Künsch, "The jackknife and the
     bootstrap for general stationary observations", Annals of Statistics 17 (1989) 1217-1241; here they do not overlap).
+    Over errors that are all 0 in a resample the ratio is 1.
     """
     values, place = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
     count = _resampled(np.bincount(place).astype(float))
     means = [_resampled(np.bincount(place, row).astype(float)) / count for row in values]
     found = []
     for row, mean in zip(values, means, strict=True):
-        rms, over = np.percentile(np.sqrt(mean), [2.5, 97.5]), np.sqrt(means[0] / mean)
-        found.append((
-            Interval(float(np.sqrt(row.mean())), *map(float, rms)),
-            Ratio(float(np.sqrt(values[0].mean() / row.mean())), *map(float, np.percentile(over, [2.5, 97.5]))),
-        ))  # fmt: skip
+        over = np.divide(
+            [values[0].mean(), *means[0]], [row.mean(), *mean], out=np.ones(1 + mean.size), where=mean.all()
+        )
+        ends = (np.percentile(np.sqrt(each), [2.5, 97.5]).tolist() for each in (mean, over[1:]))
+        rms, ratio = zip(np.sqrt([row.mean(), over[0]]).tolist(), ends, strict=True)
+        found.append((Interval(rms[0], *rms[1]), Ratio(ratio[0], *ratio[1])))
     return found

@@ -160,3 +160,9 @@ class Samples:
         heading = path.at(station).heading
         measured[:, MEASURED.turned] = np.diff(heading, prepend=heading[0])
         return replace(self, measured=measured, path=path, station=station)
+
+    def left(self, k: int) -> float:
+        """m, of the path ahead at an instant; inf for a lap."""
+        if self.path is None or self.station is None or self.path.closed:
+            return math.inf
+        return self.path.length - float(self.station[k])

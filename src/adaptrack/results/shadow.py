@@ -34,7 +34,7 @@ from adaptrack.studies.shadow import Shadow, ShadowLog, Warned
 
 NAMES = {"learned": "learned model", "held": "yaw rate held", "first": "first belief", "steady": "steady turn"}
 STROKES = strokes(PREDICTORS)
-SHOWN = 30.0
+SHOWN = 15.0
 """s of the log that are drawn: those with the most turning."""
 BELIEFS = {name: LEARNED[name] for name in ("delay", "lag", "stiffness", "bias")}
 BELIEFS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
@@ -80,13 +80,9 @@ def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Resu
 
 def _answer(log: ShadowLog, named: bool) -> str:
     """Whether the belief is to be believed, and who foretells best."""
-    verdict = {
-        "believable": "believable",
-        "open": "open: the log tells little of it",
-        "not believable": f"not believable: {'; '.join(log.doubts)}",
-    }[log.verdict]
+    why = "; ".join(log.doubts or log.bounds)
     delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
-    said = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {verdict}."
+    said = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
     return f"{f'{log.source}: ' if named else ''}{said}\n{_winner(log)}"
 
 
@@ -103,7 +99,7 @@ def _winner(log: ShadowLog) -> str:
     who = NAMES[best.predictor]
     sure = "" if other.ours.verdict != "level" else ", level with it"
     return (
-        f"Yaw rate {LATER:g} s ahead: the {who} foretells it best.\nThe learned model errs by {error}, "
+        f"Yaw rate {LATER:g} s ahead: the {who} foretells it best.\nThe learned model errs by {error} RMS,\n"
         f"{over} times the {NAMES[other.predictor]}{sure}."
     )
 
@@ -128,8 +124,8 @@ def _notes(found: Shadow) -> list[str]:
         notes += [f"{f'{log.source}: ' if several else ''}{each}." for each in said]
     if found.spoiling:
         notes.append(
-            f"Without {listed(found.spoiling)} the yaw rate is foretold better: they contradict the other signals, or "
-            "are not those of the centre of gravity."
+            f"Without {listed(found.spoiling)} less is amiss: they contradict the other signals, or are not those of "
+            "the centre of gravity."
         )
     if several:
         notes.append("The belief is carried from log to log, in the order given.")
@@ -139,7 +135,8 @@ def _notes(found: Shadow) -> list[str]:
 def _record(found: Shadow) -> dict[str, Any]:
     logs = [
         {
-            "log": log.source, "verdict": log.verdict, "doubts": list(log.doubts), "notes": list(log.notes),
+            "log": log.source, "verdict": log.verdict, "doubts": list(log.doubts), "bounds": list(log.bounds),
+            "notes": list(log.notes),
             "warnings": [each._asdict() for each in log.warnings], "learned": log.learned.model_dump(),
             "predictions": [
                 {**each._asdict(), "rms": each.rms._asdict(), "ours": each.ours._asdict()} for each in log.predictions
@@ -190,7 +187,7 @@ def _stretch(log: ShadowLog) -> slice:
 
 def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) -> Picture:
     """Wide panels, one below the other."""
-    return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4, size=(7.2, 2.6))
+    return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4)
 
 
 def _foretold(logs: Sequence[ShadowLog]) -> Picture:

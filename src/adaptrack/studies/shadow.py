@@ -62,8 +62,8 @@ WORSE = 1.1
 """Times the error of the first belief, with 95 %, from which what was learned is doubted."""
 OPTIONAL: tuple[tuple[str, ...], ...] = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
 """Signals without which the logs are gone through again where the learned model is not best, or is doubted;"""
-SPOILT, MORE = 0.9, 0.97
-"""they are named where the RMS error is below so many times that with them, and for each set below that before."""
+SPOILT = 0.9
+"""they are named where fewer logs are doubted, or the error is below so many times that with them."""
 
 
 class Warned(NamedTuple):
@@ -109,6 +109,8 @@ class ShadowLog:
     warnings: tuple[Warned, ...]
     doubts: tuple[str, ...]
     """why the belief is not to be believed; none: it is"""
+    bounds: tuple[str, ...]
+    """of what the truth may lie beyond its range, in the end"""
     notes: tuple[str, ...]
     before: LearnedCar
     """what was believed before the first log"""
@@ -116,9 +118,10 @@ class ShadowLog:
 
     @property
     def verdict(self) -> str:
-        """believable, open (the log tells little of the delay), or not believable"""
-        told = self.learned.delay_sigma <= STILL_OPEN * self.before.delay_sigma
-        return "not believable" if self.doubts else "believable" if told else "open"
+        """not believable, at a bound, still learning (the log tells little of the delay), or believable"""
+        if self.doubts or self.bounds:
+            return "not believable" if self.doubts else "at a bound"
+        return "still learning" if self.learned.delay_sigma > STILL_OPEN * self.before.delay_sigma else "believable"
 
     def of(self, quantity: str, ahead: float, part: str = "all") -> dict[str, Prediction]:
         """By predictor; none where nothing was foretold."""
@@ -134,7 +137,7 @@ class Shadow:
     """s, of the control instants"""
     logs: tuple[ShadowLog, ...]
     spoiling: tuple[str, ...] = ()
-    """signals without which the yaw rate is foretold better: they contradict the others, or are of another point"""
+    """signals that spoil the belief: they contradict the others, or are not those of the centre of gravity"""
 
     @property
     def believable(self) -> bool:
@@ -211,7 +214,7 @@ def shadow(
     road = path if isinstance(path, Road | None) else load_road(os.fspath(path))
     show = progress or (lambda *_: None)
     found = _all(read, road, mpc, without, show)
-    amiss = not without and any(each.doubts or not _is_best(each) for each in found)
+    amiss = not without and any(each.doubts or each.bounds or not _is_best(each) for each in found)
     return Shadow(vehicle, mpc.period, found, _spoiling(read, road, mpc, found, show) if amiss else ())
 
 
@@ -237,19 +240,20 @@ def _is_best(log: ShadowLog) -> bool:
 def _spoiling(
     read: Sequence[ReadLog], road: Road | None, mpc: MPC, found: Sequence[ShadowLog], show: Shown
 ) -> tuple[str, ...]:  # fmt: skip
-    """The signals of `OPTIONAL` without which the learned model errs least on all logs together; none: no such."""
+    """The signals of `OPTIONAL` without which fewer logs are doubted, or the learned model errs less; none: no such."""
 
-    def error(logs: Sequence[ShadowLog]) -> float:
+    def amiss(logs: Sequence[ShadowLog]) -> tuple[int, float]:
         told = [each.of("yaw_rate", TIMES[-1]) for each in logs]
-        return math.hypot(*(each["learned"].rms.value for each in told if each))
+        error = math.hypot(*(each["learned"].rms.value for each in told if each))
+        return sum(bool(each.doubts or each.bounds) for each in logs), error
 
-    least = SPOILT * error(found)
+    doubted, error = amiss(found)
     best: tuple[str, ...] = ()
     for names in OPTIONAL:
         if all(each.has(name) for each in read for name in names):
-            left = error(_all(read, road, mpc, names, show))
-            if left < least:
-                least, best = MORE * left, names
+            fewer, left = amiss(_all(read, road, mpc, names, show))
+            if (fewer < doubted and left < error / SPOILT) or (fewer <= doubted and left < SPOILT * error):
+                doubted, error, best = fewer, left, names
     return best
 
 
@@ -287,7 +291,8 @@ def _watched(
 ) -> tuple[Array, Array, Array, Array]:
     """Go through the instants of a segment: beliefs, `Observer.now` of both (n, .), the controller's command (n,)."""
     ours, first, mpc = who
-    applied, preview, rows = samples.before, round(PREVIEW / mpc.period), []
+    applied, rows, horizon = samples.before, [], mpc.tuning.Np * mpc.period
+    preview = round(PREVIEW / mpc.period)
     for k, speed in enumerate(samples.speed.tolist()):
         measured, proposed = samples.measured[k], math.nan
         ours.take(speed, measured, applied)
@@ -296,7 +301,7 @@ def _watched(
             ahead = RoadAhead(samples.path, float(samples.station[k]), samples.speed[k : k + preview])
             mpc.applied(applied)
             answer = mpc.step(measured, speed, np.zeros(1), road=ahead)
-            proposed = math.nan if answer.held else answer.angle
+            proposed = math.nan if answer.held or samples.left(k) < speed * horizon else answer.angle
         rows.append((ours.beliefs.copy(), ours.now(), first.now(), proposed))
         applied = float(samples.command[k])
         if k % 256 == 255:
@@ -315,20 +320,23 @@ def _judged(
     told = {key: values for key, values in found.items() if isinstance(key, tuple)}
     measured = {name: found[name] for name in QUANTITIES}
     predictions = tuple(_compared(time, found["command"], measured, told, mpc.period))
-    amiss = _amiss(found, ours)
+    bounds = _at_bounds(found, ours)
+    states = found.get("belief_state", np.zeros_like(time))  # of a learner that says them
+    contradictory = {"the belief fits no car within its ranges": states == CONTRADICTORY}
     silent = {
         f"{name.replace('_', ' ')} left out by the filter": found["left out"] == i + 1 for i, name in enumerate(SENSORS)
     }
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
-    doubts = [each.what for each in contradictions] + [what for what, at in amiss.items() if at[late].mean() > 0.5]
+    doubts = [each.what for each in contradictions] + _mostly(contradictory, late)
     if any(each.ours.low > WORSE for each in predictions if each[:2] == ("first", "yaw_rate") and each.part == "all"):
         doubts.append("the yaw rate is foretold worse than by the belief before the first sample")
     return ShadowLog(
         source=read.name, time=time, command=found["command"], proposed=found["proposed"],
         beliefs={name: found[name] for name in kernel.BELIEFS}, measured=measured, foretold=told,
-        predictions=predictions, warnings=(*contradictions, *_spans(amiss | silent, time, mpc.period)),
-        doubts=tuple(doubts), notes=(*read.log.notes, *beside), before=first.learner.learned(first.known),
+        predictions=predictions, warnings=(*contradictions, *_spans(contradictory | bounds | silent, time, mpc.period)),
+        doubts=tuple(doubts), bounds=tuple(_mostly(bounds, late)), notes=(*read.log.notes, *beside),
+        before=first.learner.learned(first.known),
         learned=ours.learner.learned(ours.known),
     )  # fmt: skip
 
@@ -360,8 +368,8 @@ def _compared(
                     yield Prediction(who, quantity, ahead, part, rms, ours)
 
 
-def _amiss(found: Mapping[Any, Array], ours: Observer) -> dict[str, Flags]:
-    """(n,) whether the belief is at a bound or contradictory, by what that is in words."""
+def _at_bounds(found: Mapping[Any, Array], ours: Observer) -> dict[str, Flags]:
+    """(n,) whether the belief is at a bound, by which that is in words."""
     p = ours.learning.view(kernel.Numbers.dtype)[0]
     ranges = {
         "lag": (found["belief_lag"], p.least_lag, p.most_lag),
@@ -370,14 +378,18 @@ def _amiss(found: Mapping[Any, Array], ours: Observer) -> dict[str, Flags]:
         "balance": (0.5 * np.log(found["belief_balance"]), -p.most_balance, p.most_balance),
         "bias": (found["belief_bias"], -p.most_bias, p.most_bias),
     }
-    bound, state = found.get("belief_at_bound"), found.get("belief_state")  # where the learner says its state
-    share = NEAR if bound is None else 0.5
-    flags = {} if state is None else {"the belief contradicts what is measured": state == CONTRADICTORY}
+    bound = found.get("belief_at_bound")  # of a learner that says it
+    share, flags = NEAR if bound is None else 0.5, {}
     for i, (name, (value, low, high)) in enumerate(ranges.items()):
         held = low < high if bound is None else bound == i + 1
         flags[f"{name} at the low end of its range"] = held & (value <= low + share * (high - low))
         flags[f"{name} at the high end of its range"] = held & (value >= high - share * (high - low))
     return flags
+
+
+def _mostly(flags: Mapping[str, Flags], late: Flags) -> list[str]:
+    """What held most of the time in the end."""
+    return [what for what, there in flags.items() if there[late].mean() > 0.5]
 
 
 def _spans(flags: Mapping[str, Flags], time: Array, period: float) -> Iterator[Warned]:
