@@ -32,7 +32,8 @@ from adaptrack.results.words import capital, listed, number
 from adaptrack.studies.observing import PREDICTORS
 from adaptrack.studies.shadow import Shadow, ShadowLog, Warned
 
-NAMES = {"learned": "learned model", "held": "yaw rate held", "first": "first belief", "steady": "steady turn"}
+NAMES = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
+SENTENCES = NAMES | {"learned": "learned model", "held": "held yaw rate"}
 STROKES = strokes(PREDICTORS)
 SHOWN = 15.0
 """s of the log that are drawn: those with the most turning."""
@@ -96,23 +97,19 @@ def _winner(log: ShadowLog) -> str:
     other = others[0] if best is ours else best
     over = f"{number(other.ours.mean, 2)} [{number(other.ours.low, 2)}, {number(other.ours.high, 2)}]"
     error = f"{number(ours.rms.value)} rad/s [{number(ours.rms.low)}, {number(ours.rms.high)}]"
-    who = NAMES[best.predictor]
+    who = SENTENCES[best.predictor]
     sure = "" if other.ours.verdict != "level" else ", level with it"
     return (
         f"Yaw rate {LATER:g} s ahead: the {who} foretells it best.\nThe learned model errs by {error} RMS,\n"
-        f"{over} times the {NAMES[other.predictor]}{sure}."
+        f"{over} times the {SENTENCES[other.predictor]}{sure}."
     )
 
 
-def _warned(log: ShadowLog) -> list[str]:
+def _warned(each: Warned, log: ShadowLog) -> str:
     """What would have been warned of, in words."""
-
-    def said(each: Warned) -> str:
-        if math.isnan(each.seconds):
-            return f"{each.what} (the whole log)"
-        return f"{each.what} for {each.seconds:.0f} of {log.time[-1]:.0f} s, first at {each.first:.1f} s"
-
-    return [said(each) for each in log.warnings]
+    if math.isnan(each.seconds):
+        return f"{each.what} (the whole log)"
+    return f"{each.what} ({each.seconds:.0f} of {log.time[-1]:.0f} s, from {each.first:.0f} s on)"
 
 
 def _notes(found: Shadow) -> list[str]:
@@ -120,8 +117,9 @@ def _notes(found: Shadow) -> list[str]:
     several = len(found.logs) > 1
     notes = []
     for log in found.logs:
-        said = [*(capital(each) for each in log.notes), *(f"It would have warned: {each}" for each in _warned(log))]
-        notes += [f"{f'{log.source}: ' if several else ''}{each}." for each in said]
+        warned = "; ".join(_warned(each, log) for each in log.warnings)
+        for each in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
+            notes += [f"{f'{log.source}: ' if several else ''}{each}."] if each else []
     if found.spoiling:
         notes.append(
             f"Without {listed(found.spoiling)} less is amiss: they contradict the other signals, or are not those of "
@@ -201,7 +199,7 @@ def _foretold(logs: Sequence[ShadowLog]) -> Picture:
             known = np.isfinite(values)
             marks.insert(0, Polyline(log.time[part][known], values[known], STROKES[who], 1.0))
         panels.append(Panel(log.source, Axis("Time (s)"), Axis("Yaw rate (rad/s)"), marks, _winner(log)))
-    key = [*((capital(NAMES[who]), STROKES[who]) for who in PREDICTORS), ("Measured", REFERENCE)]
+    key = [*((capital(SENTENCES[who]), STROKES[who]) for who in PREDICTORS), ("Measured", REFERENCE)]
     caption = (
         f"Yaw rate foretold {LATER:g} s before, with the commands that followed. The {SHOWN:.0f} s that turn most."
     )
@@ -237,8 +235,8 @@ def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
                 Polyline(log.time[part], log.command[part], BACKGROUND),
                 Dots(log.time[part], log.proposed[part], size=1.6, marker="point"),
             ]
-            said = f"{number(float(np.sqrt(np.mean(apart**2))))} rad apart (RMS, the whole log)"
+            said = f"{number(float(np.sqrt(np.mean(apart**2))))} rad apart (RMS of the whole log)."
             up = Axis("Angle (rad)", degrees=True)
-            panels.append(Panel(log.source, Axis("Time (s)"), up, marks, said, remark=said))
+            panels.append(Panel(log.source, Axis("Time (s)"), up, marks, said))
     caption = "Command of the driver (line), and of the controller at that instant (points): one step, no drive."
     return [_picture("commands", caption, panels)] if panels else []

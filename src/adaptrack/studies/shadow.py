@@ -278,6 +278,7 @@ def _gone_through(
         done += samples.time.size
         told(done, total)
     beside = [] if parts[0].path is None else [f"beside a path of {parts[0].path.length:.0f} m"]
+    beside += [] if read.log.commanded else ["here the delay is that from the measured wheel to the logged yaw rate"]
     return _judged(read, {key: np.concatenate([each[key] for each in gone]) for key in gone[0]}, beside, who)
 
 
