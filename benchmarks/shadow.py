@@ -1,4 +1,4 @@
-"""Shadow mode on honest logs: how often the belief is doubted, and who foretells the yaw rate best.
+"""Shadow mode on honest logs: how often the belief is doubted, and who predicts the yaw rate best.
 
     python benchmarks/shadow.py [--logs 40] [--profile road]
 
@@ -43,7 +43,7 @@ def main() -> None:
             each.append(yaw_rate[who].ours.mean)
         steering = car.profile.steering
         late.append(abs(one.learned.lag + one.learned.dead_time - steering.lag - steering.dead_time))
-    print(f"{given.profile}, {given.logs} logs: {dict(verdicts)}; foretells best 1 s ahead: {dict(best)}")
+    print(f"{given.profile}, {given.logs} logs: {dict(verdicts)}; predicts best 1 s ahead: {dict(best)}")
     for who, each in ratios.items():
         print(f"  learned over {who}: geometric mean {np.exp(np.mean(np.log(each))):.2f}, worst {max(each):.2f}")
     print(f"  delay: median error {np.median(late):.3f} s, 95 % {np.percentile(late, 95):.3f} s")

@@ -69,7 +69,7 @@ def test_the_belief_is_that_of_the_controller_that_drove_to_the_bit(drive, watch
         assert np.array_equal(watched.beliefs[name], believed), name
 
 
-def test_learning_foretells_better_than_the_first_belief_and_the_steady_turn(watched):
+def test_learning_predicts_better_than_the_first_belief_and_the_steady_turn(watched):
     for ahead in (0.5, 1.0):
         found = watched.of("yaw_rate", ahead)
         assert found["first"].ours.high < 1.0
@@ -80,7 +80,7 @@ def test_learning_foretells_better_than_the_first_belief_and_the_steady_turn(wat
     assert abs(watched.learned.lag + watched.learned.dead_time - 0.15) < 0.03
 
 
-def test_what_the_model_is_right_about_is_foretold_exactly():
+def test_what_the_model_is_right_about_is_predicted_exactly():
     """A linear car with the belief of its own steering, in a world without noise."""
     model = at.PathModel(CAR, 0.1, 0.15, 0.0)
     n, x = 600, np.zeros(5)
@@ -192,7 +192,7 @@ def test_the_answer_comes_first_and_fits_80_columns(watched, capsys, monkeypatch
     print_result(shadow_result(at.Shadow(CAR, 0.05, (watched,)), next_step="Next, ..."))
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("The belief (delay 0.1")
-    assert lines[1] == "Yaw rate 1 s ahead: the learned model foretells it best."
+    assert lines[1] == "Yaw rate 1 s ahead: the learned model predicts it best."
     assert lines[-1] == "Next, ..."
     assert max(map(len, lines[:20])) <= 80
 

@@ -46,7 +46,7 @@ class ShadowOptions:
 def shadow(given: ShadowOptions) -> None:
     """Run a learning controller's estimator in the shadow of a driver.
 
-    What it believes of the car, how well it foretells yaw rate and position, what it would have warned of. Nothing is
+    What it believes of the car, how well it predicts yaw rate and position, what it would have warned of. Nothing is
     steered. Exit code 3 when the belief is not believable.
     """
     from adaptrack.results.page import write_result

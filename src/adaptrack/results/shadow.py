@@ -1,4 +1,4 @@
-"""The result of shadow mode: what is believed on each log, how well the car is foretold, what is warned of."""
+"""The result of shadow mode: what is believed on each log, how well the car is predicted, what is warned of."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ QUANTITIES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
 """Of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
-FORETOLD = (
-    Column("name", "foretold by"),
+PREDICTED = (
+    Column("name", "predicted by"),
     Column("soon", f"{SOON:g} s", "rad/s", 3),
     Column("later", f"{LATER:g} s", "rad/s", 3),
     Column("interval", "95 %", show=2, meaning=f"of the error {LATER:g} s ahead"),
@@ -71,7 +71,7 @@ def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Resu
         record=_record(found),
         tables=[table for each in found.logs for table in _tables(each, f", {each.source}" if several else "")],
         notes=_notes(found),
-        pictures=[_foretold(found.logs), _believed(found.logs), *_commands(found.logs)],
+        pictures=[_predicted(found.logs), _believed(found.logs), *_commands(found.logs)],
         failed=not found.believable,
         headline="" if found.believable else "Not believable",
         command=command,
@@ -80,7 +80,7 @@ def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Resu
 
 
 def _answer(log: ShadowLog, named: bool) -> str:
-    """Whether the belief is to be believed, and who foretells best."""
+    """Whether the belief is to be believed, and which predictor is best."""
     why = "; ".join(log.doubts or log.bounds)
     delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
     said = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
@@ -88,7 +88,7 @@ def _answer(log: ShadowLog, named: bool) -> str:
 
 
 def _winner(log: ShadowLog) -> str:
-    """Who foretells the yaw rate best, and how the learned model compares."""
+    """Who predicts the yaw rate best, and how the learned model compares."""
     found = log.of("yaw_rate", LATER)
     if not found:
         return "It is too short to compare predictions."
@@ -97,10 +97,10 @@ def _winner(log: ShadowLog) -> str:
     other = others[0] if best is ours else best
     over = f"{number(other.ours.mean, 2)} [{number(other.ours.low, 2)}, {number(other.ours.high, 2)}]"
     error = f"{number(ours.rms.value)} rad/s [{number(ours.rms.low)}, {number(ours.rms.high)}]"
-    who = SENTENCES[best.predictor]
+    winner = SENTENCES[best.predictor]
     sure = "" if other.ours.verdict != "level" else ", level with it"
     return (
-        f"Yaw rate {LATER:g} s ahead: the {who} foretells it best.\nThe learned model errs by {error} RMS,\n"
+        f"Yaw rate {LATER:g} s ahead: the {winner} predicts it best.\nThe learned model errs by {error} RMS,\n"
         f"{over} times the {SENTENCES[other.predictor]}{sure}."
     )
 
@@ -146,16 +146,16 @@ def _record(found: Shadow) -> dict[str, Any]:
 
 
 def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
-    """Who foretold how well; what is believed in the end."""
+    """Who predicted how well; what is believed in the end."""
     soon, later = (log.of("yaw_rate", ahead) for ahead in TIMES)
     fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
     rows: list[dict[str, Any]] = [
         {
-            "name": NAMES[who], "soon": soon[who].rms.value, "later": each.rms.value, "interval": each.rms[1:],
-            "ours": None if who == "learned" else each.ours[1:], "fastest": fastest[who].rms.value,
-            "y": y[who].rms.value if y else None,
+            "name": NAMES[name], "soon": soon[name].rms.value, "later": each.rms.value, "interval": each.rms[1:],
+            "ours": None if name == "learned" else each.ours[1:], "fastest": fastest[name].rms.value,
+            "y": y[name].rms.value if y else None,
         }
-        for who, each in later.items()
+        for name, each in later.items()
     ]  # fmt: skip
     least = [
         where(rows, [name], lambda row, name=name: row[name] == min(each[name] for each in rows))
@@ -167,9 +167,9 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
         for name, each, old in zip(QUANTITIES, log.learned.intervals, log.before.intervals, strict=True)
     ]  # fmt: skip
     title = f"RMS errors of yaw rate{' and offset' if y else ''}{suffix}"
-    columns = FORETOLD if y else FORETOLD[:-1]
+    columns = PREDICTED if y else PREDICTED[:-1]
     return [
-        ResultTable(f"foretold{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
+        ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
         ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEVED, believed, brief=True),
     ]
 
@@ -188,22 +188,22 @@ def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) ->
     return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4)
 
 
-def _foretold(logs: Sequence[ShadowLog]) -> Picture:
-    """Yaw rate as measured, and as foretold."""
+def _predicted(logs: Sequence[ShadowLog]) -> Picture:
+    """Yaw rate as measured, and as predicted."""
     panels = []
     for log in logs:
         part = _stretch(log)
         marks: list[Mark] = [Polyline(log.time[part], log.measured["yaw_rate"][part], REFERENCE, 1.0)]
-        for who in PREDICTORS:
-            values = log.foretold[who, "yaw_rate", LATER][part]
+        for name in PREDICTORS:
+            values = log.predicted[name, "yaw_rate", LATER][part]
             known = np.isfinite(values)
-            marks.insert(0, Polyline(log.time[part][known], values[known], STROKES[who], 1.0))
+            marks.insert(0, Polyline(log.time[part][known], values[known], STROKES[name], 1.0))
         panels.append(Panel(log.source, Axis("Time (s)"), Axis("Yaw rate (rad/s)"), marks, _winner(log)))
-    key = [*((capital(SENTENCES[who]), STROKES[who]) for who in PREDICTORS), ("Measured", REFERENCE)]
+    key = [*((capital(SENTENCES[name]), STROKES[name]) for name in PREDICTORS), ("Measured", REFERENCE)]
     caption = (
-        f"Yaw rate foretold {LATER:g} s before, with the commands that followed. The {SHOWN:.0f} s that turn most."
+        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN:.0f} s that turn most."
     )
-    return _picture("foretold", caption, panels, key)
+    return _picture("predicted", caption, panels, key)
 
 
 def _believed(logs: Sequence[ShadowLog]) -> Picture:

@@ -1,6 +1,6 @@
-"""Filter and learner of a controller that steers nothing, and what they foretell of the car.
+"""Filter and learner of a controller that steers nothing, and what they predict of the car.
 
-From the state and the belief of an instant the car is foretold `TIMES`, with the commands and speeds that followed, by
+From the state and the belief of an instant the car is predicted `TIMES`, with the commands and speeds that followed, by
 
     learned   the path model (`core.models.path`) with the belief of that instant, its disturbances held
     held      the filtered yaw rate and lateral velocity, held
@@ -30,13 +30,13 @@ from adaptrack.identification.instants import Samples
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
-Foretold = dict[tuple[str, str, float], Array]
-"""(predictor, quantity, s ahead) -> (n,), at the instants that it is for; NaN where nothing was foretold"""
+Predicted = dict[tuple[str, str, float], Array]
+"""(predictor, quantity, s ahead) -> (n,), at the instants that it is for; NaN where nothing was predicted"""
 
 PREDICTORS = ("learned", "held", "first", "steady")
 QUANTITIES = ("yaw_rate", "y")
 EVERY = 0.1
-"""s, at least, between the instants from which is foretold."""
+"""s, at least, between the instants from which is predicted."""
 _STATE, _N = kalman.STATE, len(kalman.STATE)
 _MODEL = slice(_N + 1, _N + 8)
 _WHOLE, _SHARE, _BIAS, LEFT_OUT = range(_N + 8, _N + 12)
@@ -81,35 +81,35 @@ class Observer:
         return self.known[kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]
 
     def now(self) -> Array:
-        """What is foretold from: z, saturation, the model, dead time in periods, bias; then the sensor left out."""
+        """What is predicted from: z, saturation, the model, dead time in periods, bias; then the sensor left out."""
         m, p = kalman.memory_of(self.memory, 0), kalman.parameters_of(self.filter, 0)
         return np.array([*m.z, m.saturation, *self.car, p.whole, p.share, p.bias, m.left_out])
 
 
-def foretold(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Foretold:
+def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
     """From every `EVERY` s of a segment; ours, first: (n, .) of `Observer.now`, with and without learning.
 
-    tell: is told the share of the work on the segment that is done, this being its second half.
+    tell: takes the share of the work on the segment that is done, of which this is the second half.
     """
     n, period, steps = samples.time.size, mpc.period, {round(ahead / mpc.period): ahead for ahead in TIMES}
     start = np.arange(0, max(n - max(steps), 0), math.ceil(EVERY / period - 1e-6))
     now = {"learned": ours[start], "first": first[start]}
-    z = {who: now["learned" if who in ("learned", "held") else "first"][:, :_N].copy() for who in PREDICTORS}
-    for who, each in now.items():
-        z[who][:, _STATE.side] += each[:, _N]  # what tyres pull less in the bend at hand
+    z = {name: now["learned" if name in ("learned", "held") else "first"][:, :_N].copy() for name in PREDICTORS}
+    for name, each in now.items():
+        z[name][:, _STATE.side] += each[:, _N]  # what tyres pull less in the bend at hand
     z["steady"][:, _STATE.offset] = 0.0
-    found = {(who, what, ahead): np.full(n, math.nan) for who in z for what in QUANTITIES for ahead in TIMES}
+    found = {(name, what, ahead): np.full(n, math.nan) for name in z for what in QUANTITIES for ahead in TIMES}
     for j in range(max(steps)):
         tell(0.5 + 0.5 * j / max(steps))
         k = start + j
-        for who, each in now.items():
-            _roll(z[who], samples, k, each, period)
+        for name, each in now.items():
+            _roll(z[name], samples, k, each, period)
         _turn_steadily(z["steady"], samples.speed[k], z["first"][:, _STATE.wheel_angle], mpc.vehicle)
-        for who in ("held", "steady"):
-            _carry(z[who], samples, k, period)
-        for who, state in z.items() if j + 1 in steps else ():
-            found[who, "yaw_rate", steps[j + 1]][k + 1] = state[:, _STATE.yaw_rate] + state[:, _STATE.offset]
-            found[who, "y", steps[j + 1]][k + 1] = state[:, _STATE.y] if samples.path is not None else math.nan
+        for name in ("held", "steady"):
+            _carry(z[name], samples, k, period)
+        for name, state in z.items() if j + 1 in steps else ():
+            found[name, "yaw_rate", steps[j + 1]][k + 1] = state[:, _STATE.yaw_rate] + state[:, _STATE.offset]
+            found[name, "y", steps[j + 1]][k + 1] = state[:, _STATE.y] if samples.path is not None else math.nan
     return found
 
 

@@ -1,7 +1,7 @@
 """Shadow mode: the estimator and the learner of a controller run over logs of a driver and steer nothing.
 
 At every control instant they are given what the log measured, and its command (or, without one, the measured wheel
-angle) as the one applied. What they foretell (`observing`) is compared with what came; intervals are those of a
+angle) as the one applied. What they predict (`observing`) is compared with what came; intervals are those of a
 bootstrap over blocks of `BLOCK`.
 """
 
@@ -37,7 +37,7 @@ from adaptrack.identification.reading import Reading
 from adaptrack.road import Road, load_road
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.studies.observing import LEFT_OUT, PREDICTORS, QUANTITIES, Foretold, Observer, foretold
+from adaptrack.studies.observing import LEFT_OUT, PREDICTORS, QUANTITIES, Observer, Predicted, predicted
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -57,7 +57,7 @@ CONTRADICTORY = 3.0
 LEAST_SPAN, IN_THE_END = 1.0, 10.0
 """s, of what is warned of; s, the end of a log, whose belief is judged."""
 STILL_OPEN = 0.5
-"""Share of the first standard deviation of the delay above which the log has told little of it."""
+"""Share of the first standard deviation of the delay above which the log has report little of it."""
 WORSE = 1.1
 """Times the error of the first belief, with 95 %, from which what was learned is doubted."""
 OPTIONAL: tuple[tuple[str, ...], ...] = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
@@ -75,7 +75,7 @@ class Warned(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """How well a predictor foretold a quantity."""
+    """How well a predictor predicted a quantity."""
 
     predictor: str
     quantity: str
@@ -104,7 +104,7 @@ class ShadowLog:
     """(n,) each, by the names of `core.estimators.learning.BELIEFS`"""
     measured: Mapping[str, Array]
     """(n,) yaw_rate (rad/s) and y (m)"""
-    foretold: Foretold
+    predicted: Predicted
     predictions: tuple[Prediction, ...]
     warnings: tuple[Warned, ...]
     doubts: tuple[str, ...]
@@ -124,7 +124,7 @@ class ShadowLog:
         return "still learning" if self.learned.delay_sigma > STILL_OPEN * self.before.delay_sigma else "believable"
 
     def of(self, quantity: str, ahead: float, part: str = "all") -> dict[str, Prediction]:
-        """By predictor; none where nothing was foretold."""
+        """By predictor; none where nothing was predicted."""
         return {each.predictor: each for each in self.predictions if each[1:4] == (quantity, ahead, part)}
 
 
@@ -223,16 +223,16 @@ def _all(
 ) -> tuple[ShadowLog, ...]:  # fmt: skip
     """All logs, one after the other, from the first belief on."""
     mpc.reset()
-    who = Observer(mpc), Observer(mpc, learns=False), mpc
+    observers = Observer(mpc), Observer(mpc, learns=False), mpc
     found = []
     for each in read:
         stage = each.name + (f" without {', '.join(without)}" if without else "")
-        found.append(_gone_through(each.without(without), road, who, partial(show, stage)))
+        found.append(_gone_through(each.without(without), road, observers, partial(show, stage)))
     return tuple(found)
 
 
 def _is_best(log: ShadowLog) -> bool:
-    """Whether no other predictor foretells the yaw rate better at the farther time."""
+    """Whether no other predictor predicts the yaw rate better at the farther time."""
     found = log.of("yaw_rate", TIMES[-1])
     return all(found["learned"].rms.value <= each.rms.value for each in found.values())
 
@@ -243,8 +243,8 @@ def _spoiling(
     """The signals of `OPTIONAL` without which fewer logs are doubted, or the learned model errs less; none: no such."""
 
     def amiss(logs: Sequence[ShadowLog]) -> tuple[int, float]:
-        told = [each.of("yaw_rate", TIMES[-1]) for each in logs]
-        error = math.hypot(*(each["learned"].rms.value for each in told if each))
+        compared = [each.of("yaw_rate", TIMES[-1]) for each in logs]
+        error = math.hypot(*(each["learned"].rms.value for each in compared if each))
         return sum(bool(each.doubts or each.bounds) for each in logs), error
 
     doubted, error = amiss(found)
@@ -258,40 +258,40 @@ def _spoiling(
 
 
 def _gone_through(
-    read: ReadLog, path: Road | None, who: tuple[Observer, Observer, MPC], told: Callable[[int, int], None]
+    read: ReadLog, path: Road | None, observers: tuple[Observer, Observer, MPC], report: Callable[[int, int], None]
 ) -> ShadowLog:
-    """One log; told: (instants done, in all)."""
-    mpc, gone, done = who[2], [], 0
+    """One log; report: (instants done, in all)."""
+    mpc, gone, done = observers[2], [], 0
     parts = list(read.segments(mpc.period, path))
     total = sum(each.time.size for each in parts)
     for samples in parts:
-        for each in who:
+        for each in observers:
             each.restart()
-        tell = partial(_tell, told, done, samples.time.size, total)
-        beliefs, ours, first, proposed = _watched(samples, who, tell)
+        tell = partial(_tell, report, done, samples.time.size, total)
+        beliefs, ours, first, proposed = _watched(samples, observers, tell)
         gone.append(
             {"time": samples.time, "command": samples.command, "proposed": proposed, "left out": ours[:, LEFT_OUT]}
             | {name: samples.measured[:, getattr(MEASURED, name)] for name in QUANTITIES}
             | dict(zip(kernel.BELIEFS, beliefs.T, strict=True))
-            | foretold(samples, ours, first, mpc, tell)
+            | predicted(samples, ours, first, mpc, tell)
         )
         done += samples.time.size
-        told(done, total)
+        report(done, total)
     beside = [] if parts[0].path is None else [f"beside a path of {parts[0].path.length:.0f} m"]
     beside += [] if read.log.commanded else ["here the delay is that from the measured wheel to the logged yaw rate"]
-    return _judged(read, {key: np.concatenate([each[key] for each in gone]) for key in gone[0]}, beside, who)
+    return _judged(read, {key: np.concatenate([each[key] for each in gone]) for key in gone[0]}, beside, observers)
 
 
-def _tell(told: Callable[[int, int], None], done: int, here: int, total: int, share: float) -> None:
+def _tell(report: Callable[[int, int], None], done: int, here: int, total: int, share: float) -> None:
     """Tell how far the work is: instants done before those `here`, a share of which is done, and in all."""
-    told(done + int(share * here), total)
+    report(done + int(share * here), total)
 
 
 def _watched(
-    samples: Samples, who: tuple[Observer, Observer, MPC], tell: Callable[[float], None]
+    samples: Samples, observers: tuple[Observer, Observer, MPC], tell: Callable[[float], None]
 ) -> tuple[Array, Array, Array, Array]:
     """Go through the instants of a segment: beliefs, `Observer.now` of both (n, .), the controller's command (n,)."""
-    ours, first, mpc = who
+    ours, first, mpc = observers
     applied, rows, horizon = samples.before, [], mpc.tuning.Np * mpc.period
     preview = round(PREVIEW / mpc.period)
     for k, speed in enumerate(samples.speed.tolist()):
@@ -313,14 +313,14 @@ def _watched(
 
 # -- what comes of it -------------------------------------------------------------------------------------------------
 def _judged(
-    read: ReadLog, found: Mapping[Any, Array], beside: Sequence[str], who: tuple[Observer, Observer, MPC]
+    read: ReadLog, found: Mapping[Any, Array], beside: Sequence[str], observers: tuple[Observer, Observer, MPC]
 ) -> ShadowLog:
     """A log that was gone through; found: its signals at the control instants."""
-    ours, first, mpc = who
+    ours, first, mpc = observers
     time = found["time"] - read.log.time[0]
-    told = {key: values for key, values in found.items() if isinstance(key, tuple)}
+    expected = {key: values for key, values in found.items() if isinstance(key, tuple)}
     measured = {name: found[name] for name in QUANTITIES}
-    predictions = tuple(_compared(time, found["command"], measured, told, mpc.period))
+    predictions = tuple(_compared(time, found["command"], measured, expected, mpc.period))
     bounds = _at_bounds(found, ours)
     states = found.get("belief_state", np.zeros_like(time))  # of a learner that says them
     contradictory = {"the belief fits no car within its ranges": states == CONTRADICTORY}
@@ -331,10 +331,10 @@ def _judged(
     late = time > time[-1] - IN_THE_END
     doubts = [each.what for each in contradictions] + _mostly(contradictory, late)
     if any(each.ours.low > WORSE for each in predictions if each[:2] == ("first", "yaw_rate") and each.part == "all"):
-        doubts.append("the yaw rate is foretold worse than by the belief before the first sample")
+        doubts.append("the yaw rate is predicted worse than by the belief before the first sample")
     return ShadowLog(
         source=read.name, time=time, command=found["command"], proposed=found["proposed"],
-        beliefs={name: found[name] for name in kernel.BELIEFS}, measured=measured, foretold=told,
+        beliefs={name: found[name] for name in kernel.BELIEFS}, measured=measured, predicted=expected,
         predictions=predictions, warnings=(*contradictions, *_spans(contradictory | bounds | silent, time, mpc.period)),
         doubts=tuple(doubts), bounds=tuple(_mostly(bounds, late)), notes=(*read.log.notes, *beside),
         before=first.learner.learned(first.known),
@@ -351,22 +351,24 @@ def _contradictions(read: ReadLog, car: Any) -> Iterator[Warned]:
 
 
 def _compared(
-    time: Array, command: Array, measured: Mapping[str, Array], told: Foretold, period: float
+    time: Array, command: Array, measured: Mapping[str, Array], expected: Predicted, period: float
 ) -> Iterator[Prediction]:
-    """RMS errors of the predictors, where all of them foretold what was measured."""
+    """RMS errors of the predictors, where all of them predicted what was measured."""
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(command, prepend=command[:1])))])
     block = (time // BLOCK).astype(np.int64)
     for quantity, value in measured.items():
         for ahead in TIMES:
-            squared = np.array([told[who, quantity, ahead] - value for who in PREDICTORS]) ** 2
+            squared = np.array([expected[name, quantity, ahead] - value for name in PREDICTORS]) ** 2
             there = np.isfinite(squared).all(axis=0)
             if np.unique(block[there]).size < 2:
                 continue
             steered = turned[1:] - turned[np.maximum(np.arange(time.size) + 1 - round(ahead / period), 0)]
             fastest = there & (steered >= np.quantile(steered[there], FASTEST))
             for part, chosen in (("all", there), ("fastest", fastest)):
-                for who, (rms, ours) in zip(PREDICTORS, block_rms(squared[:, chosen], block[chosen]), strict=True):
-                    yield Prediction(who, quantity, ahead, part, rms, ours)
+                for predictor, (rms, ours) in zip(
+                    PREDICTORS, block_rms(squared[:, chosen], block[chosen]), strict=True
+                ):
+                    yield Prediction(predictor, quantity, ahead, part, rms, ours)
 
 
 def _at_bounds(found: Mapping[Any, Array], ours: Observer) -> dict[str, Flags]:
