@@ -34,6 +34,7 @@ LONG_COMMANDS = {
     "evaluate": "1 to 10 minutes",
     "identify": "needs a log",
     "reproduce": "2 minutes",
+    "shadow": "needs a log",
     "train": "30 s",
     "tune": "1 to 20 minutes",
 }
@@ -51,6 +52,7 @@ LONG_SNIPPETS = {
     ("plants.md", "ProcessPlant("): "is run as an example",
     ("reproduce.md", "train(data"): "10 s",
     ("schedulers.md", "train(data"): "20 s",
+    ("shadow.md", "at.shadow("): "needs logs",
 }
 """Python blocks of which only the imports are run, by page and something that they hold."""
 

@@ -209,6 +209,7 @@ _PUBLIC = {
     ),
     "learning.adaptation.config": ("load_adaptation",),
     "studies.adapt": ("adapt",),
+    "studies.shadow": ("Shadow", "shadow"),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
@@ -332,6 +333,7 @@ if TYPE_CHECKING:
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scenario.profile import Profile, list_profiles, load_profile
     from adaptrack.studies.adapt import adapt
+    from adaptrack.studies.shadow import Shadow, shadow
     from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
@@ -403,6 +405,7 @@ __all__ = [
     "SchedulingVariables",
     "SearchSpace",
     "SensorNoise",
+    "Shadow",
     "SingleTrack",
     "SingleTrackModel",
     "Solution",
@@ -492,6 +495,7 @@ __all__ = [
     "rollout_batch",
     "run_campaign",
     "save_scheduler",
+    "shadow",
     "simulate",
     "train",
     "tune",

@@ -23,6 +23,7 @@ from adaptrack.cli import (
     manoeuvre,
     reproduce,
     road,
+    shadow,
     simulate,
     train,
     tune,
@@ -33,7 +34,8 @@ app = typer.Typer(
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
     epilog="Begin with: adaptrack drive country --out drive. Which controller, which profile, what to measure first: "
     "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven, criteria of a "
-    "standard that are not met; 2 an error; 3 a run failed, an identification is not consistent; 130 Ctrl-C.",
+    "standard that are not met; 2 an error; 3 a run failed, an identification is not consistent, a belief is not "
+    "believable; 130 Ctrl-C.",
     no_args_is_help=True,
     rich_markup_mode=None,
     add_completion=False,
@@ -61,6 +63,7 @@ def _options(
 for command in (
     drive.drive,
     identify.identify,
+    shadow.shadow,
     simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,

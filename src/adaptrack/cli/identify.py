@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
+from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import again, command, say_next
-
-if TYPE_CHECKING:
-    from adaptrack.identification import Reading
 
 NOT_CONSISTENT = 3
 """The exit code of an identification that contradicts itself or what was believed."""
@@ -35,34 +33,7 @@ class IdentifyOptions:
     ] = None
     mass: Annotated[float | None, Option("--mass", metavar="KG", help="Where there is no --car.")] = None
     wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Where there is no --car.")] = None
-    columns: Annotated[
-        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
-    ] = None
-    units: Annotated[
-        list[str] | None,
-        Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
-    ] = None
-    flip: Annotated[
-        list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
-    ] = None
-    steering_ratio: Annotated[
-        str | None,
-        Option(
-            "--steering-ratio",
-            metavar="RATIO",
-            help="Logged steering angles over those of the road wheels, or fit: to be found.",
-        ),
-    ] = None
-    clock: Annotated[
-        list[str] | None,
-        Option("--clock", metavar="SIGNAL=NAME,...", help="Column of a signal's own times: yaw_rate=t_imu."),
-    ] = None
-    late: Annotated[
-        list[str] | None,
-        Option(
-            "--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."
-        ),
-    ] = None
+    log_columns: ColumnOptions
     computation: Annotated[
         float | None,
         Option(
@@ -77,17 +48,6 @@ class IdentifyOptions:
     ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False
-
-    @property
-    def reading(self) -> Reading:
-        """What the log's columns are."""
-        from adaptrack.identification import Reading
-
-        columns = dict(_pair("--columns", each) for each in _parts(self.columns))
-        units = dict(("", each) if "=" not in each else _pair("--units", each) for each in _parts(self.units))
-        clocks = dict(_pair("--clock", each) for each in _parts(self.clock))
-        late = {name: _seconds(name, each) for name, each in (_pair("--late", each) for each in _parts(self.late))}
-        return Reading(columns, units, tuple(_parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
 
 
 @options.grouped
@@ -106,7 +66,7 @@ def identify(given: IdentifyOptions) -> None:
         raise InvalidInput(f"--out {out}: a car file ends in .toml.")
     if page is not None and page.suffix != ".html":
         raise InvalidInput(f"--page {page}: a page ends in .html.")
-    reading = given.reading
+    reading = given.log_columns.reading
     options.make_place(out)
     options.make_place(page)
     with show.progress("identify"):
@@ -140,30 +100,3 @@ def _next_step(given: IdentifyOptions, findings: Sequence[str], refused: bool) -
     if given.out is None:
         return "to keep the car", again("--out", "my-car.toml")
     return "to drive it", command("drive", "country", "--vehicle", given.out)
-
-
-def _ratio(text: str | None) -> float | Literal["fit"] | None:
-    if text is None or text == "fit":
-        return text  # type: ignore[return-value]  # "fit"
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidInput(f"--steering-ratio {text}: must be a number, or fit.") from None
-
-
-def _seconds(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidInput(f"--late {name}={text}: must be a number (s).") from None
-
-
-def _parts(given: Sequence[str] | None) -> list[str]:
-    return [part.strip() for each in given or () for part in each.split(",") if part.strip()]
-
-
-def _pair(option: str, text: str) -> tuple[str, str]:
-    name, mark, value = text.partition("=")
-    if not mark or not name or not value:
-        raise InvalidInput(f"{option} {text}: must be SIGNAL=NAME.")
-    return name, value

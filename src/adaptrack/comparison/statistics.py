@@ -124,3 +124,33 @@ def importance(schedule: Schedule, samples: int = 512, seed: int = 0) -> dict[st
         change = ((outputs_of(schedule, moved) - here) ** 2).mean(axis=0) / 2.0
         found[name] = float(np.mean(np.divide(change, variance, out=np.zeros(3), where=variance > 0.0)))
     return found
+
+
+class Interval(NamedTuple):
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Ratio]]:
+    """Root mean square of errors that were made side by side, and that of the first over it, each with its interval.
+
+    squared: (m, n) squared errors of m contenders at n instants; block: (n,) whole numbers: instants of one block are
+    drawn together, for errors that follow each other are alike (moving blocks: H. R. Künsch, "The jackknife and the
+    bootstrap for general stationary observations", Annals of Statistics 17 (1989) 1217-1241; here they do not overlap).
+    Over errors that are all 0 in a resample the ratio is 1.
+    """
+    values, place = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
+    count = _resampled(np.bincount(place).astype(float))
+    means = [_resampled(np.bincount(place, row).astype(float)) / count for row in values]
+    found = []
+    for row, mean in zip(values, means, strict=True):
+        over = np.divide(
+            [values[0].mean(), *means[0]], [row.mean(), *mean], out=np.ones(1 + mean.size), where=mean.all()
+        )
+        ends = (np.percentile(np.sqrt(each), [2.5, 97.5]).tolist() for each in (mean, over[1:]))
+        rms, ratio = zip(np.sqrt([row.mean(), over[0]]).tolist(), ends, strict=True)
+        found.append((Interval(rms[0], *rms[1]), Ratio(ratio[0], *ratio[1])))
+    return found

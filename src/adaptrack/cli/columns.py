@@ -1,0 +1,87 @@
+"""Options of every command that reads a log: which column is what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from typer import Option
+
+from adaptrack.base.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.identification import Reading
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnOptions:
+    """What the columns of a log are."""
+
+    columns: Annotated[
+        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
+    ] = None
+    units: Annotated[
+        list[str] | None,
+        Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
+    ] = None
+    flip: Annotated[
+        list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
+    ] = None
+    steering_ratio: Annotated[
+        str | None,
+        Option(
+            "--steering-ratio",
+            metavar="RATIO",
+            help="Logged steering angles over those of the road wheels, or fit: to be found.",
+        ),
+    ] = None
+    clock: Annotated[
+        list[str] | None,
+        Option("--clock", metavar="SIGNAL=NAME,...", help="Column of a signal's own times: yaw_rate=t_imu."),
+    ] = None
+    late: Annotated[
+        list[str] | None,
+        Option(
+            "--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."
+        ),
+    ] = None
+
+    @property
+    def reading(self) -> Reading:
+        """As `identify` takes it."""
+        from adaptrack.identification import Reading
+
+        columns = dict(_pair("--columns", each) for each in parts(self.columns))
+        units = dict(("", each) if "=" not in each else _pair("--units", each) for each in parts(self.units))
+        clocks = dict(_pair("--clock", each) for each in parts(self.clock))
+        late = {name: _seconds(name, each) for name, each in (_pair("--late", each) for each in parts(self.late))}
+        return Reading(columns, units, tuple(parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
+
+
+def _ratio(text: str | None) -> float | Literal["fit"] | None:
+    if text is None or text == "fit":
+        return text  # type: ignore[return-value]  # "fit"
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(f"--steering-ratio {text}: must be a number, or fit.") from None
+
+
+def _seconds(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(f"--late {name}={text}: must be a number (s).") from None
+
+
+def parts(given: Sequence[str] | None) -> list[str]:
+    """What is given, also several with commas between them."""
+    return [part.strip() for each in given or () for part in each.split(",") if part.strip()]
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    name, mark, value = text.partition("=")
+    if not mark or not name or not value:
+        raise InvalidInput(f"{option} {text}: must be SIGNAL=NAME.")
+    return name, value

@@ -1,0 +1,242 @@
+"""The result of shadow mode: what is believed on each log, how well the car is predicted, what is warned of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from adaptrack.base.result import (
+    BACKGROUND,
+    REFERENCE,
+    Axis,
+    Column,
+    Dots,
+    Guide,
+    Mark,
+    Panel,
+    Picture,
+    Polyline,
+    Result,
+    ResultTable,
+    Ribbon,
+    strokes,
+    where,
+)
+from adaptrack.control.controllers.learned import WITHIN
+from adaptrack.drive.prediction import TIMES
+from adaptrack.results.drive_figures import LEARNED, thinned
+from adaptrack.results.words import capital, listed, number
+from adaptrack.studies.observing import PREDICTORS
+from adaptrack.studies.shadow import Shadow, ShadowLog, Warned
+
+NAMES = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
+SENTENCES = NAMES | {"learned": "learned model", "held": "held yaw rate"}
+STROKES = strokes(PREDICTORS)
+SHOWN = 15.0
+"""s of the log that are drawn: those with the most turning."""
+BELIEFS = {name: LEARNED[name] for name in ("delay", "lag", "stiffness", "bias")}
+BELIEFS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
+QUANTITIES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
+"""Of `LearnedCar.intervals`."""
+SOON, LATER = TIMES
+
+PREDICTED = (
+    Column("name", "predicted by"),
+    Column("soon", f"{SOON:g} s", "rad/s", 3),
+    Column("later", f"{LATER:g} s", "rad/s", 3),
+    Column("interval", "95 %", show=2, meaning=f"of the error {LATER:g} s ahead"),
+    Column("ours", "learned/it", show=2, meaning="95 % of the learned model's error over this one's"),
+    Column("fastest", "fastest", "rad/s", 3, f"{LATER:g} s ahead, in the third of the log with the fastest steering"),
+    Column("y", "offset", "m", 3, f"from the path, {LATER:g} s ahead"),
+)
+BELIEVED = (
+    Column("name", "believed"),
+    Column("value", "value", show=3),
+    Column("interval", "90 %", show=3),
+    Column("before", "before the logs", show=3),
+    Column("unit", "unit"),
+)
+
+
+def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Result:
+    """What came of the logs as a result."""
+    several = len(found.logs) > 1
+    return Result(
+        kind="shadow",
+        title=f"In the shadow of a driver: {found.car.name}",
+        answer="\n".join(_answer(each, several) for each in found.logs),
+        record=_record(found),
+        tables=[table for each in found.logs for table in _tables(each, f", {each.source}" if several else "")],
+        notes=_notes(found),
+        pictures=[_predicted(found.logs), _believed(found.logs), *_commands(found.logs)],
+        failed=not found.believable,
+        headline="" if found.believable else "Not believable",
+        command=command,
+        next_step=next_step,
+    )
+
+
+def _answer(log: ShadowLog, named: bool) -> str:
+    """Whether the belief is to be believed, and which predictor is best."""
+    why = "; ".join(log.doubts or log.bounds)
+    delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
+    said = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
+    return f"{f'{log.source}: ' if named else ''}{said}\n{_winner(log)}"
+
+
+def _winner(log: ShadowLog) -> str:
+    """Who predicts the yaw rate best, and how the learned model compares."""
+    found = log.of("yaw_rate", LATER)
+    if not found:
+        return "It is too short to compare predictions."
+    ours = found["learned"]
+    best, *others = sorted(found.values(), key=lambda each: each.rms.value)
+    other = others[0] if best is ours else best
+    over = f"{number(other.ours.mean, 2)} [{number(other.ours.low, 2)}, {number(other.ours.high, 2)}]"
+    error = f"{number(ours.rms.value)} rad/s [{number(ours.rms.low)}, {number(ours.rms.high)}]"
+    winner = SENTENCES[best.predictor]
+    sure = "" if other.ours.verdict != "level" else ", level with it"
+    return (
+        f"Yaw rate {LATER:g} s ahead: the {winner} predicts it best.\nThe learned model errs by {error} RMS,\n"
+        f"{over} times the {SENTENCES[other.predictor]}{sure}."
+    )
+
+
+def _warned(each: Warned, log: ShadowLog) -> str:
+    """What would have been warned of, in words."""
+    if math.isnan(each.seconds):
+        return f"{each.what} (the whole log)"
+    return f"{each.what} ({each.seconds:.0f} of {log.time[-1]:.0f} s, from {each.first:.0f} s on)"
+
+
+def _notes(found: Shadow) -> list[str]:
+    """What the reader must know beside."""
+    several = len(found.logs) > 1
+    notes = []
+    for log in found.logs:
+        warned = "; ".join(_warned(each, log) for each in log.warnings)
+        for each in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
+            notes += [f"{f'{log.source}: ' if several else ''}{each}."] if each else []
+    if found.spoiling:
+        notes.append(
+            f"Without {listed(found.spoiling)} less is amiss: they contradict the other signals, or are not those of "
+            "the centre of gravity."
+        )
+    if several:
+        notes.append("The belief is carried from log to log, in the order given.")
+    return [*notes, "Nothing was steered: a command is one step from where the driver had brought the car."]
+
+
+def _record(found: Shadow) -> dict[str, Any]:
+    logs = [
+        {
+            "log": log.source, "verdict": log.verdict, "doubts": list(log.doubts), "bounds": list(log.bounds),
+            "notes": list(log.notes),
+            "warnings": [each._asdict() for each in log.warnings], "learned": log.learned.model_dump(),
+            "predictions": [
+                {**each._asdict(), "rms": each.rms._asdict(), "ours": each.ours._asdict()} for each in log.predictions
+            ],
+        }
+        for log in found.logs
+    ]  # fmt: skip
+    return {"vehicle": found.car.name, "period": found.period, "spoiling": list(found.spoiling), "logs": logs}
+
+
+def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
+    """Who predicted how well; what is believed in the end."""
+    soon, later = (log.of("yaw_rate", ahead) for ahead in TIMES)
+    fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
+    rows: list[dict[str, Any]] = [
+        {
+            "name": NAMES[name], "soon": soon[name].rms.value, "later": each.rms.value, "interval": each.rms[1:],
+            "ours": None if name == "learned" else each.ours[1:], "fastest": fastest[name].rms.value,
+            "y": y[name].rms.value if y else None,
+        }
+        for name, each in later.items()
+    ]  # fmt: skip
+    least = [
+        where(rows, [name], lambda row, name=name: row[name] == min(each[name] for each in rows))
+        for name in ("soon", "later", "fastest", *(("y",) if y else ()))
+    ]
+    believed = [
+        {"name": name, "value": each.value, "interval": (each.low, each.high), "before": (old.low, old.high),
+         "unit": each.unit}
+        for name, each, old in zip(QUANTITIES, log.learned.intervals, log.before.intervals, strict=True)
+    ]  # fmt: skip
+    title = f"RMS errors of yaw rate{' and offset' if y else ''}{suffix}"
+    columns = PREDICTED if y else PREDICTED[:-1]
+    return [
+        ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
+        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEVED, believed, brief=True),
+    ]
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _stretch(log: ShadowLog) -> slice:
+    """The `SHOWN` s with the most turning."""
+    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(log.measured["yaw_rate"]) ** 2)])
+    ends = np.searchsorted(log.time, log.time + SHOWN, side="right")
+    first = int(np.argmax(total[ends] - total[np.arange(log.time.size)]))
+    return slice(first, int(ends[first]))
+
+
+def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) -> Picture:
+    """Wide panels, one below the other."""
+    return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4)
+
+
+def _predicted(logs: Sequence[ShadowLog]) -> Picture:
+    """Yaw rate as measured, and as predicted."""
+    panels = []
+    for log in logs:
+        part = _stretch(log)
+        marks: list[Mark] = [Polyline(log.time[part], log.measured["yaw_rate"][part], REFERENCE, 1.0)]
+        for name in PREDICTORS:
+            values = log.predicted[name, "yaw_rate", LATER][part]
+            known = np.isfinite(values)
+            marks.insert(0, Polyline(log.time[part][known], values[known], STROKES[name], 1.0))
+        panels.append(Panel(log.source, Axis("Time (s)"), Axis("Yaw rate (rad/s)"), marks, _winner(log)))
+    key = [*((capital(SENTENCES[name]), STROKES[name]) for name in PREDICTORS), ("Measured", REFERENCE)]
+    caption = (
+        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN:.0f} s that turn most."
+    )
+    return _picture("predicted", caption, panels, key)
+
+
+def _believed(logs: Sequence[ShadowLog]) -> Picture:
+    """The belief over time, one log after the other."""
+    begins, own = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), STROKES["learned"]
+    panels = []
+    for name, (title, label, unit) in BELIEFS.items():
+        marks: list[Mark] = [Guide("x", begins[1:-1].tolist())] if len(logs) > 1 else []
+        for log, begin in zip(logs, begins[:-1], strict=True):
+            keep = thinned(log.beliefs[f"belief_{name}"])
+            mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
+            factor, spread = (
+                (np.exp(WITHIN * sigma), 0.0) if name in ("stiffness", "balance") else (1.0, WITHIN * sigma)
+            )
+            time = begin + log.time[keep]
+            ribbon = Ribbon(time, mean / factor - spread, mean * factor + spread, own.colour)
+            marks += [ribbon, Polyline(time, mean, own)]
+        panels.append(Panel(title, Axis("Time (s)"), Axis(label), marks, f"{mean[-1]:.3g} {unit} in the end."))
+    return Picture("believed", "What is believed of the car. Band: 90 %.", panels, file="believed.png", row_height=1.9)
+
+
+def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
+    """The controller's command beside the driver's; none without a path."""
+    panels = []
+    for log in logs:
+        part, apart = _stretch(log), (log.proposed - log.command)[np.isfinite(log.proposed)]
+        if apart.size:
+            marks: list[Mark] = [
+                Polyline(log.time[part], log.command[part], BACKGROUND),
+                Dots(log.time[part], log.proposed[part], size=1.6, marker="point"),
+            ]
+            said = f"{number(float(np.sqrt(np.mean(apart**2))))} rad apart (RMS of the whole log)."
+            up = Axis("Angle (rad)", degrees=True)
+            panels.append(Panel(log.source, Axis("Time (s)"), up, marks, said))
+    caption = "Command of the driver (line), and of the controller at that instant (points): one step, no drive."
+    return [_picture("commands", caption, panels)] if panels else []
