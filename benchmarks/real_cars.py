@@ -76,7 +76,8 @@ def believed() -> dict[str, tuple[float, float]]:
     return {
         "mass": data_sheet.MASSES, "wheelbase": data_sheet.WHEELBASES, "delay": delay, "delay + 0.2": delay,
         "lf / wheelbase": (data_sheet.FRONT_DISTANCE - spread, data_sheet.FRONT_DISTANCE + spread),
-        "front stiffness / load": (front / factor, front * factor), "rear stiffness / load": (rear / factor, rear * factor),
+        "front stiffness / load": (front / factor, front * factor),
+        "rear stiffness / load": (rear / factor, rear * factor),
     }  # fmt: skip
 
 
@@ -123,16 +124,15 @@ def main() -> None:
         print(json.dumps(table))
         return
     print(
-        f"{'':34s} cars values     least"
+        f"{'':42s} cars values     least"
         + "".join(f"{each:8d} %" for each in QUANTILES)
         + "      most  believed, share"
     )
     for row in table:
-        low_high = "{:.3g} to {:.3g}: {:.0%}".format(*row["believed"], row["within"]) if "within" in row else ""
+        share = "{:.3g} to {:.3g}: {:.0%}".format(*row["believed"], row["within"]) if "within" in row else ""
         numbers = "".join(f"{each:10.4g}" for each in [row["lowest"], *row["quantiles"], row["highest"]])
-        print(
-            f"{row['quantity'] + ' (' + row['unit'] + ')':34s} {row['cars']:4d} {row['different values']:6d}{numbers}  {low_high}"
-        )
+        quantity = f"{row['quantity']} ({row['unit']})"
+        print(f"{quantity:42s} {row['cars']:4d} {row['different values']:6d}{numbers}  {share}")
 
 
 if __name__ == "__main__":
