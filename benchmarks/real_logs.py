@@ -1,0 +1,186 @@
+"""Logs of real cars that are not ours: what `identify` and `shadow` say of them. Positions are never printed.
+
+    python benchmarks/real_logs.py LOG.toml [...] [--shadow] [--json]
+
+A LOG.toml says where logs of one car lie and how they are to be read; the logs belong to others and are not shipped:
+
+    name = "..."; source = "..."; licence = "..."; logs = ["a.csv", "b.csv"]   # beside the file
+    mass = 1791.6; wheelbase = 2.65        # kg, m: a data sheet
+    known = {lf = 1.33}                    # what somebody else says of the car, printed beside
+    [[reading]]                            # one run each
+    label = "..."; ratio = "fit"           # or a number
+    columns = {yaw_rate = "omega(rad/s)", vy = ""}   # "": this signal is left out
+    units = {yaw_rate = "deg/s"}; flip = ["yaw_rate"]
+
+Each log alone, then all of a car together where `identify` takes several.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import time
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import adaptrack as at
+from adaptrack.base.errors import InvalidInput
+from adaptrack.identification.reading import ALIASES, Reading, read_columns
+
+SHOWN = ("delay", "lag", "dead_time", "front", "rear", "yaw_inertia", "lf", "ratio", "relaxation",
+         "understeer_gradient", "lateness", "bank")  # fmt: skip
+"""Estimates that are printed, where there are such."""
+POSITIONS = ("x", "y")
+
+
+def signals(path: Path, how: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The columns that `identify` gets, in SI units, without positions and what the reading leaves out."""
+    columns = how.get("columns", {})
+    said = {signal: column for signal, column in columns.items() if column}
+    reading = Reading(columns=said, units=how.get("units", {}), flip=tuple(how.get("flip", ())))
+    left_out = {signal for signal, column in columns.items() if not column} | set(POSITIONS)
+    found = read_columns(path, reading).values
+    return {name: values for name, values in found.items() if name in ALIASES and name not in left_out}
+
+
+def described(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Length, rate, and the range of each signal."""
+    t = columns["time"][np.isfinite(columns["time"])]
+    moving = columns["speed"] > 1.0
+    found = {"samples": int(t.size), "seconds": float(t[-1] - t[0]), "rate": float(1.0 / np.median(np.diff(t)))}
+    found["signals"] = {
+        name: [float(each) for each in np.nanpercentile(values[moving], (1, 99))]
+        for name, values in columns.items()
+        if name != "time"
+    }
+    return found
+
+
+def identified(
+    logs: Sequence[Mapping[str, np.ndarray]], entry: Mapping[str, Any], how: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What `identify` says, or why it refuses."""
+    begun = time.perf_counter()
+    given: Any = logs[0] if len(logs) == 1 else list(logs)
+    reading = Reading(steering_ratio=how.get("ratio"))
+    try:
+        found = at.identify(given, mass=entry["mass"], wheelbase=entry["wheelbase"], reading=reading)
+    except InvalidInput as error:
+        return {"refused": str(error), "took": time.perf_counter() - begun}
+    estimates = {
+        name: {"value": each.value, "low": each.low, "high": each.high, "before": list(each.before),
+               "spread_left": each.spread_left}
+        for name, each in found.estimates.items()
+        if name in SHOWN
+    }  # fmt: skip
+    return {
+        "estimates": estimates, "one_step": found.validation.one_step, "simulated": found.validation.simulated,
+        "findings": list(found.findings), "consistent": getattr(found, "consistent", None),
+        "reasons": list(getattr(found, "reasons", ())), "took": time.perf_counter() - begun,
+    }  # fmt: skip
+
+
+def shadowed(
+    logs: Sequence[Mapping[str, np.ndarray]], entry: Mapping[str, Any], how: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """What `shadow` says of each log; without positions it has no path."""
+    from adaptrack.studies.shadow import shadow
+
+    car, said = at.vehicle_from_data_sheet("sheet", entry["mass"], entry["wheelbase"]), how.get("ratio")
+    found = []
+    for log in logs:
+        try:
+            told = shadow(log, car, reading=Reading(steering_ratio=said)).logs[0]
+        except InvalidInput as error:
+            found.append({"refused": str(error)})
+            continue
+        found.append({
+            "predictions": [[each.predictor, each.quantity, each.ahead, each.part, list(each.rms), list(each.ours)]
+                            for each in told.predictions],
+            "warnings": [list(each) for each in told.warnings], "doubts": list(told.doubts), "notes": list(told.notes),
+        })  # fmt: skip
+    return found
+
+
+def gradient(value: float) -> float:
+    """deg/g of rad s^2/m."""
+    return math.degrees(value) * 9.80665
+
+
+def show(run: Mapping[str, Any], known: Mapping[str, float]) -> None:
+    """Print what came out of a run."""
+    if "refused" in run:
+        print(f"    refused: {run['refused']}")
+        return
+    for name, each in run["estimates"].items():
+        numbers = [each["value"], each["low"], each["high"], *each["before"]]
+        if name == "understeer_gradient":
+            name, numbers = "understeer gradient, deg/g", [gradient(number) for number in numbers]
+        value, low, high, *before = (f"{number:.4g}" for number in numbers)
+        others = f"  (elsewhere {known[name]:g})" if name in known else ""
+        print(f"    {name:27s} {value:>8s} [{low}, {high}]  before {before[0]} to {before[1]}, "
+              f"left {each['spread_left']:.2f}{others}")  # fmt: skip
+    print(f"    explained one step ahead {run['one_step']:.1%}, simulated {run['simulated']:.1%}; {run['took']:.0f} s")
+    if run["consistent"] is not None:
+        print("    consistent" if run["consistent"] else "    NOT CONSISTENT: " + "; ".join(run["reasons"]))
+    for sentence in run["findings"]:
+        print(f"    - {sentence}")
+
+
+def show_shadow(run: Mapping[str, Any]) -> None:
+    """Print what `shadow` says of a log."""
+    if "refused" in run:
+        print(f"    shadow refused: {run['refused']}")
+        return
+    for predictor, quantity, ahead, part, rms, ours in run["predictions"]:
+        numbers = ", ".join(f"{each:.4g}" for each in rms)
+        ratio = ", ".join(f"{each:.3g}" for each in ours)
+        print(f"    {quantity} {ahead:g} s ahead, {part:8s} {predictor:24s} RMS ({numbers}), ours over it ({ratio})")
+    for sentence in [*(" ".join(map(str, each)) for each in run["warnings"]), *run["doubts"], *run["notes"]]:
+        print(f"    - {sentence}")
+
+
+def main() -> None:
+    """Print what each reading of each log gives."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("files", nargs="+", type=Path)
+    ask.add_argument("--shadow", action="store_true")
+    ask.add_argument("--json", action="store_true")
+    given = ask.parse_args()
+    answers = []
+    for path in given.files:
+        entry = tomllib.loads(path.read_text(encoding="utf-8"))
+        if not given.json:
+            print(f"{entry['name']}\n  {entry['licence']}; {entry['source']}")
+        for how in entry.get("reading", [{}]):
+            sources = [path.parent / name for name in entry["logs"]]
+            logs = [signals(source, how) for source in sources]
+            parts = [[log] for log in logs] + ([logs] if len(logs) > 1 else [])
+            for number, part in enumerate(parts):
+                label = sources[number].name if number < len(logs) else "all together"
+                row = {"car": entry["name"], "reading": how.get("label", ""), "log": label}
+                row["columns"] = described(part[0]) if len(part) == 1 else None
+                row["identify"] = identified(part, entry, how)
+                row["shadow"] = shadowed(part, entry, how) if given.shadow and len(part) == 1 else []
+                answers.append(row)
+                if given.json:
+                    continue
+                print(f"  {label}, {row['reading']}")
+                if row["columns"]:
+                    ranges = ", ".join(f"{k} {a:.3g} to {b:.3g}" for k, (a, b) in row["columns"]["signals"].items())
+                    print("    {samples} samples, {seconds:.0f} s, {rate:.0f} Hz: ".format(**row["columns"]) + ranges)
+                show(row["identify"], entry.get("known", {}))
+                for each in row["shadow"]:
+                    show_shadow(each)
+    if given.json:
+        print(json.dumps(answers))
+
+
+if __name__ == "__main__":
+    main()
