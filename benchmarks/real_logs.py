@@ -71,7 +71,7 @@ def identified(
     reading = Reading(steering_ratio=how.get("ratio"))
     try:
         found = at.identify(given, mass=entry["mass"], wheelbase=entry["wheelbase"], reading=reading)
-    except InvalidInput as error:
+    except (InvalidInput, TypeError) as error:  # of a version that takes one log only, too
         return {"refused": str(error), "took": time.perf_counter() - begun}
     estimates = {
         name: {"value": each.value, "low": each.low, "high": each.high, "before": list(each.before),
