@@ -6,9 +6,10 @@
 Four wheels touch the ground by the engine's own contact and friction; nothing of our plants or tyres is in it. Front
 wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag and dead time are imposed and told to nobody.
 A call every 0.05 s, with the noise of profile `road`; speed: planned, held by torque at the wheels. Every controller is
-told mass and wheelbase, `vehicle_from_data_sheet`. Roads: two mountain roads at 4 m/s^2, a town, lane changes at 15 and
-25 m/s, two random drives (set speed, friction .5 to 1, gusts). RMS and worst distance from the road (m) from the first
-second on; a run is lost 5 m off, or 45 degrees sideways.
+told mass and wheelbase (`vehicle_from_data_sheet`), "delay told" the steering as well. Roads: two mountain roads at 4
+m/s^2, a town, lane changes at 15 and 25 m/s, two random drives (set speed, friction .5 to 1, gusts). RMS and worst
+distance from the road (m) from the first second on; a run is lost 5 m off, or 45 degrees sideways. Also printed: the
+statuses of the tracker, and states of the belief, that are not `ok`, with the number of calls.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import json
 import math
 import tempfile
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -324,12 +325,14 @@ def _random(seed: int) -> Trip:
     return Trip("random", seed, road, at.plan_speed(road, comfort=Comfort(lateral=2.5)), 120.0, events=True)
 
 
-def controllers() -> dict[str, Any]:
-    """Name -> controller, each told mass and wheelbase."""
+def controllers(delays: tuple[float, float]) -> dict[str, Any]:
+    """Name -> controller, each told mass and wheelbase; "delay told" the steering as well, and it does not learn."""
     sheet = at.vehicle_from_data_sheet("sheet", MASS, WHEELBASE)
+    steering = at.Steering(lag=delays[0], dead_time=delays[1] - PERIOD, rate=RATE)  # one period is its computation
     sampled = {"period": PERIOD, "preview": True}
     return {
         "learning": at.MPC(sheet, profile="road", belief="unknown", learning=at.Learning()),
+        "delay told": at.MPC(sheet, profile="road", belief=steering, learning=None),
         "lqr": at.LQR(sheet, **sampled), "stanley": at.Stanley(sheet, **sampled),
         "pure pursuit": at.PurePursuit(sheet, **sampled),
     }  # fmt: skip
@@ -344,6 +347,7 @@ def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Tr
     engine.place(float(start.x), float(start.y), float(start.heading), float(trip.plan.at(1.0)))
     tracker, command, near, push, lost = at.Tracker(controller, trip.road, plan=trip.plan), 0.0, 1.0, 0.0, None
     offsets: list[float] = []
+    said: Counter[str] = Counter()
     for k in range(round(trip.seconds / DT)):
         t, car = k * DT, engine.state()
         if k % round(PERIOD / DT) == 0:
@@ -360,7 +364,9 @@ def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Tr
                 car.yaw + noise.noise_yaw * rng.normal(), car.speed, car.yaw_rate + noise.noise_yaw_rate * rng.normal(),
             )  # fmt: skip
             vy = car.vy + noise.noise_vy * rng.normal()
-            command = tracker.step(t, *sample, lateral_velocity=vy).command
+            told = tracker.step(t, *sample, lateral_velocity=vy)
+            command = told.command
+            said.update([told.status.value] + ([told.belief.name.lower()] if getattr(told, "belief", None) else []))
             now, soon = trip.plan.at([near, near + 0.1 * car.speed])
             force = MASS * ((soon - now) / 0.1 + 1.5 * (now - car.speed))
             if trip.events:
@@ -372,15 +378,27 @@ def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Tr
     return {
         "rms": float(np.sqrt(np.mean(judged**2))), "worst": float(np.max(np.abs(judged))), "lost": lost,
         "seconds": PERIOD * len(offsets), "learned": learned(controller),
+        "said": {word: count for word, count in said.items() if word != "ok"},
     }  # fmt: skip
 
 
 def learned(controller: Any) -> dict[str, float] | None:
     """What the controller believes at the end."""
-    if not isinstance(controller, at.MPC):
+    if getattr(controller, "learner", None) is None:
         return None
     car = controller.learned()
     return {name: getattr(car, name) for name in ("lag", "dead_time", "delay_sigma", "stiffness", "balance", "bias")}
+
+
+def line(row: dict[str, Any]) -> str:
+    """A run in a line."""
+    end = "" if row["lost"] is None else f"  lost at {row['lost']:.1f} s"
+    words = [f"{word} {count}" for word, count in row["said"].items()]
+    words += [f"{key} {value:.3g}" for key, value in (row["learned"] or {}).items()]
+    return (
+        f"{row['engine']:9s} {row['road']:9s} {row['seed']} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
+        f"{row['worst']:.3f}  {row['seconds']:4.0f} s{end}  {'  '.join(words)}"
+    )
 
 
 def main() -> None:
@@ -394,7 +412,7 @@ def main() -> None:
     for name in given.engine:
         engine = ENGINES[name]()
         for trip in trips():
-            for label, controller in controllers().items():
+            for label, controller in controllers(DELAYS[name]).items():
                 if given.only and label not in given.only:
                     continue
                 begun = time.perf_counter()
@@ -402,15 +420,7 @@ def main() -> None:
                 row |= drive(engine, DELAYS[name], controller, trip)
                 found.append(row)
                 if not given.json:
-                    end = "" if row["lost"] is None else f"  lost at {row['lost']:.1f} s"
-                    believed = "" if row["learned"] is None else "  ".join(
-                        f"{key} {value:.3g}" for key, value in row["learned"].items()
-                    )  # fmt: skip
-                    print(
-                        f"{name:9s} {trip.name:9s} {trip.seed} {label:13s} RMS {row['rms']:.4f}  worst "
-                        f"{row['worst']:.3f}  {row['seconds']:4.0f} s{end}  ({time.perf_counter() - begun:.0f} s)  "
-                        f"{believed}", flush=True,
-                    )  # fmt: skip
+                    print(line(row), f"({time.perf_counter() - begun:.0f} s)", flush=True)
     if given.json:
         print(json.dumps(found))
         return

@@ -18,7 +18,6 @@ Each log alone, then all of a car together where `identify` takes several.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import time
@@ -108,6 +107,25 @@ def shadowed(
     return found
 
 
+def steady_gradient(log: Mapping[str, np.ndarray], wheelbase: float) -> float:
+    """deg/g, by least squares from means over a second: wheel angle less L r/v over v r, where v r is .5 to 5 m/s^2.
+
+    J. Y. Wong, Theory of Ground Vehicles, section 5.2. NaN where no road wheel's angle is logged. Of `identify` it is
+    independent; bank and a wrong ratio are in it.
+    """
+    steered = log.get("wheel", log.get("command"))
+    if steered is None:
+        return math.nan
+    count = max(round(1.0 / float(np.median(np.diff(log["time"])))), 1)
+    kept = steered.size // count * count
+    angle, v, r = (each[:kept].reshape(-1, count).mean(1) for each in (steered, log["speed"], log["yaw_rate"]))
+    used = (v > 10.0) & (np.abs(v * r) > 0.5) & (np.abs(v * r) < 5.0)
+    if used.sum() < 10:
+        return math.nan
+    slope = np.polyfit((v * r)[used], (angle - wheelbase * r / v)[used], 1)[0]
+    return gradient(float(slope))
+
+
 def gradient(value: float) -> float:
     """deg/g of rad s^2/m."""
     return math.degrees(value) * 9.80665
@@ -166,6 +184,7 @@ def main() -> None:
                 label = sources[number].name if number < len(logs) else "all together"
                 row = {"car": entry["name"], "reading": how.get("label", ""), "log": label}
                 row["columns"] = described(part[0]) if len(part) == 1 else None
+                row["steady_gradient"] = steady_gradient(part[0], entry["wheelbase"]) if len(part) == 1 else math.nan
                 row["identify"] = identified(part, entry, how)
                 row["shadow"] = shadowed(part, entry, how) if given.shadow and len(part) == 1 else []
                 answers.append(row)
@@ -175,6 +194,8 @@ def main() -> None:
                 if row["columns"]:
                     ranges = ", ".join(f"{k} {a:.3g} to {b:.3g}" for k, (a, b) in row["columns"]["signals"].items())
                     print("    {samples} samples, {seconds:.0f} s, {rate:.0f} Hz: ".format(**row["columns"]) + ranges)
+                if math.isfinite(row["steady_gradient"]):
+                    print(f"    steady turns alone: understeer gradient {row['steady_gradient']:.2f} deg/g")
                 show(row["identify"], entry.get("known", {}))
                 for each in row["shadow"]:
                     show_shadow(each)
