@@ -3,8 +3,9 @@
     pip install --target DIR mujoco pybullet          # neither belongs to this package; DIR must not shadow its NumPy
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco pybullet] [--only learning] [--json]
 
-Four wheels touch the ground by the engine's own contact and friction; nothing of our plants or tyres is in it. Front
-wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag and dead time are imposed and told to nobody.
+Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
+nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
+and dead time are imposed and told to nobody.
 A call every 0.05 s, with the noise of profile `road`; speed: planned, held by torque at the wheels. Every controller is
 told mass and wheelbase (`vehicle_from_data_sheet`), "delay told" the steering as well. Roads: two mountain roads at 4
 m/s^2, a town, lane changes at 15 and 25 m/s, two random drives (set speed, friction .5 to 1, gusts). RMS and worst
@@ -44,7 +45,7 @@ INERTIA = (550.0, 2400.0, 2700.0)
 """kg m^2, of the body, about its axes"""
 RATE = 0.6
 """rad/s"""
-DELAYS = {"mujoco": (0.20, 0.10), "pybullet": (0.15, 0.15)}
+DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10), "pybullet": (0.15, 0.15)}
 """s, lag and dead time"""
 SEEDS = {"mountain": (8101, 8102), "town": (8201,), "lanes": (8301, 8302), "random": (8401, 8402)}
 """Of the judged runs. The cars were made to stand and roll on seeds below 100."""
@@ -88,17 +89,14 @@ def ackermann(angle: float) -> tuple[float, float]:
 class MuJoCo:
     """Body on four springs, ellipsoids rolling by soft frictional contact (E. Todorov et al., IROS 2012).
 
-    Friction creeps, `solreffriction`: its force grows with the sliding speed, so that the stiffness of an axle grows
-    with the car's.
+    creep: s, time constant of the friction at the front and at the rear; None: the engine's own. Friction is a force
+    that grows with the sliding speed, so that the stiffness of an axle grows with the car's speed.
     """
 
-    CREEP = (0.13, 0.11)
-    """s, time constant of friction at the front and at the rear: the front is softer"""
-
-    def __init__(self) -> None:
+    def __init__(self, creep: tuple[float, float] | None = None) -> None:
         import mujoco
 
-        self.mujoco = mujoco
+        self.mujoco, self.creep = mujoco, creep
         self.model = mujoco.MjModel.from_xml_string(self._xml())
         self.data = mujoco.MjData(self.model)
         self.body = self.model.body("body").id
@@ -114,7 +112,8 @@ class MuJoCo:
               <body name="wheel{i}"><joint name="spin{i}" axis="0 1 0"/>
                 <geom name="tyre{i}" type="ellipsoid" size="{RADIUS} .1 {RADIUS}" mass="{WHEEL - 4.0}"/>
               </body></body>"""
-            pairs += f'<pair geom1="ground" geom2="tyre{i}" condim="3" solreffriction="{self.CREEP[i // 2]} 1"/>'
+            friction = "" if self.creep is None else f' solreffriction="{self.creep[i // 2]} 1"'
+            pairs += f'<pair geom1="ground" geom2="tyre{i}" condim="3"{friction}/>'
             motors += f'<motor joint="spin{i}"/>'
             if i < 2:
                 motors += f'<position joint="steer{i}" kp="40000" kv="900"/>'
@@ -248,7 +247,11 @@ class PyBullet:
         self.bullet.changeDynamics(self.ground, -1, lateralFriction=value)
 
 
-ENGINES: dict[str, Callable[[], Engine]] = {"mujoco": MuJoCo, "pybullet": PyBullet}
+CREEP = (0.13, 0.11)
+"""s: understeering by 1.5 deg/g at 6 m/s, .6 at 15, .4 at 25"""
+ENGINES: dict[str, Callable[[], Engine]] = {
+    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP), "pybullet": PyBullet,
+}  # fmt: skip
 
 
 def wheel_torques(force: float) -> list[float]:
@@ -396,7 +399,7 @@ def line(row: dict[str, Any]) -> str:
     words = [f"{word} {count}" for word, count in row["said"].items()]
     words += [f"{key} {value:.3g}" for key, value in (row["learned"] or {}).items()]
     return (
-        f"{row['engine']:9s} {row['road']:9s} {row['seed']} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
+        f"{row['engine']:12s} {row['road']:9s} {row['seed']} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
         f"{row['worst']:.3f}  {row['seconds']:4.0f} s{end}  {'  '.join(words)}"
     )
 
