@@ -4,12 +4,12 @@
 
 A LOG.toml says where logs of one car lie and how they are to be read; the logs belong to others and are not shipped:
 
-    name = "..."; source = "..."; licence = "..."; logs = ["a.csv", "b.csv"]   # beside the file
+    name = "..."; source = "..."; licence = "..."; logs = ["a.csv", "b.csv"]   # beside the file, CSV
     mass = 1791.6; wheelbase = 2.65        # kg, m: a data sheet
     known = {lf = 1.33}                    # what somebody else says of the car, printed beside
     [[reading]]                            # one run each
     label = "..."; ratio = "fit"           # or a number
-    columns = {yaw_rate = "omega(rad/s)", vy = ""}   # "": this signal is left out
+    columns = {yaw_rate = "omega(rad/s)"}; leave_out = ["vy(m/s)"]   # columns of the file
     units = {yaw_rate = "deg/s"}; flip = ["yaw_rate"]
 
 Each log alone, then all of a car together where `identify` takes several.
@@ -30,7 +30,7 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
-from adaptrack.identification.reading import ALIASES, Reading, read_columns
+from adaptrack.identification.reading import Reading, read_columns
 
 SHOWN = ("delay", "lag", "dead_time", "front", "rear", "yaw_inertia", "lf", "ratio", "relaxation",
          "understeer_gradient", "lateness", "bank")  # fmt: skip
@@ -38,25 +38,31 @@ SHOWN = ("delay", "lag", "dead_time", "front", "rear", "yaw_inertia", "lf", "rat
 POSITIONS = ("x", "y")
 
 
-def signals(path: Path, how: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The columns that `identify` gets, in SI units, without positions and what the reading leaves out."""
-    columns = how.get("columns", {})
-    said = {signal: column for signal, column in columns.items() if column}
-    reading = Reading(columns=said, units=how.get("units", {}), flip=tuple(how.get("flip", ())))
-    left_out = {signal for signal, column in columns.items() if not column} | set(POSITIONS)
-    found = read_columns(path, reading).values
-    return {name: values for name, values in found.items() if name in ALIASES and name not in left_out}
+def table(path: Path, how: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The columns of a CSV file by name, without those that a reading leaves out."""
+    with path.open(encoding="utf-8") as file:
+        header = file.readline().strip().split(",")
+        values = np.loadtxt(file, delimiter=",", ndmin=2)
+    return {name: values[:, i] for i, name in enumerate(header) if name not in how.get("leave_out", ())}
+
+
+def reading_of(how: Mapping[str, Any]) -> Reading:
+    """How a log is to be read."""
+    return Reading(
+        columns=how.get("columns", {}), units=how.get("units", {}), flip=tuple(how.get("flip", ())),
+        steering_ratio=how.get("ratio"),
+    )  # fmt: skip
 
 
 def described(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Length, rate, and the range of each signal."""
+    """Length, rate, and the range of each signal; not of positions."""
     t = columns["time"][np.isfinite(columns["time"])]
     moving = columns["speed"] > 1.0
     found = {"samples": int(t.size), "seconds": float(t[-1] - t[0]), "rate": float(1.0 / np.median(np.diff(t)))}
     found["signals"] = {
         name: [float(each) for each in np.nanpercentile(values[moving], (1, 99))]
         for name, values in columns.items()
-        if name != "time"
+        if name not in ("time", *POSITIONS)
     }
     return found
 
@@ -67,9 +73,8 @@ def identified(
     """What `identify` says, or why it refuses."""
     begun = time.perf_counter()
     given: Any = logs[0] if len(logs) == 1 else list(logs)
-    reading = Reading(steering_ratio=how.get("ratio"))
     try:
-        found = at.identify(given, mass=entry["mass"], wheelbase=entry["wheelbase"], reading=reading)
+        found = at.identify(given, mass=entry["mass"], wheelbase=entry["wheelbase"], reading=reading_of(how))
     except (InvalidInput, TypeError) as error:  # of a version that takes one log only, too
         return {"refused": str(error), "took": time.perf_counter() - begun}
     estimates = {
@@ -88,14 +93,14 @@ def identified(
 def shadowed(
     logs: Sequence[Mapping[str, np.ndarray]], entry: Mapping[str, Any], how: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """What `shadow` says of each log; without positions it has no path."""
+    """What `shadow` says of each log, driven by a controller that has the data sheet."""
     from adaptrack.studies.shadow import shadow
 
-    car, said = at.vehicle_from_data_sheet("sheet", entry["mass"], entry["wheelbase"]), how.get("ratio")
+    car = at.vehicle_from_data_sheet("sheet", entry["mass"], entry["wheelbase"])
     found = []
     for log in logs:
         try:
-            told = shadow(log, car, reading=Reading(steering_ratio=said)).logs[0]
+            told = shadow(log, car, reading=reading_of(how)).logs[0]
         except InvalidInput as error:
             found.append({"refused": str(error)})
             continue
@@ -178,13 +183,17 @@ def main() -> None:
             print(f"{entry['name']}\n  {entry['licence']}; {entry['source']}")
         for how in entry.get("reading", [{}]):
             sources = [path.parent / name for name in entry["logs"]]
-            logs = [signals(source, how) for source in sources]
+            logs = [table(source, how) for source in sources]
             parts = [[log] for log in logs] + ([logs] if len(logs) > 1 else [])
             for number, part in enumerate(parts):
                 label = sources[number].name if number < len(logs) else "all together"
                 row = {"car": entry["name"], "reading": how.get("label", ""), "log": label}
-                row["columns"] = described(part[0]) if len(part) == 1 else None
-                row["steady_gradient"] = steady_gradient(part[0], entry["wheelbase"]) if len(part) == 1 else math.nan
+                row["columns"], row["steady_gradient"] = None, math.nan
+                if len(part) == 1:
+                    columns = read_columns(part[0], reading_of(how)).values
+                    row["columns"] = described(columns)
+                    if how.get("ratio") != "fit":
+                        row["steady_gradient"] = steady_gradient(columns, entry["wheelbase"])
                 row["identify"] = identified(part, entry, how)
                 row["shadow"] = shadowed(part, entry, how) if given.shadow and len(part) == 1 else []
                 answers.append(row)
