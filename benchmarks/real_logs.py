@@ -1,6 +1,6 @@
 """Logs of real cars that are not ours: what `identify` and `shadow` say of them. Positions are never printed.
 
-    python benchmarks/real_logs.py LOG.toml [...] [--shadow] [--json]
+    python benchmarks/real_logs.py LOG.toml [...] [--what identify shadow] [--json]
 
 A LOG.toml says where logs of one car lie and how they are to be read; the logs belong to others and are not shipped:
 
@@ -161,11 +161,14 @@ def show_shadow(run: Mapping[str, Any]) -> None:
     if "refused" in run:
         print(f"    shadow refused: {run['refused']}")
         return
-    for predictor, quantity, ahead, part, rms, ours in run["predictions"]:
-        numbers = ", ".join(f"{each:.4g}" for each in rms)
-        ratio = ", ".join(f"{each:.3g}" for each in ours)
-        print(f"    {quantity} {ahead:g} s ahead, {part:8s} {predictor:24s} RMS ({numbers}), ours over it ({ratio})")
-    for sentence in [*(" ".join(map(str, each)) for each in run["warnings"]), *run["doubts"], *run["notes"]]:
+    for predictor, quantity, ahead, part, (rms, low, high), (ratio, least, most) in run["predictions"]:
+        print(
+            f"    {quantity:8s} {ahead:3g} s ahead, {part:8s} {predictor:8s} RMS {rms:.4f} [{low:.4f}, {high:.4f}]  "
+            f"learned over it {ratio:.2f} [{least:.2f}, {most:.2f}]"
+        )
+    for what, seconds, first in run["warnings"]:
+        print(f"    - would have warned: {what}, {seconds:.1f} s in all, first at {first:.1f} s")
+    for sentence in (*run["doubts"], *run["notes"]):
         print(f"    - {sentence}")
 
 
@@ -173,7 +176,7 @@ def main() -> None:
     """Print what each reading of each log gives."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("files", nargs="+", type=Path)
-    ask.add_argument("--shadow", action="store_true")
+    ask.add_argument("--what", nargs="+", default=["identify"], choices=["identify", "shadow"])
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     answers = []
@@ -194,8 +197,8 @@ def main() -> None:
                     row["columns"] = described(columns)
                     if how.get("ratio") != "fit":
                         row["steady_gradient"] = steady_gradient(columns, entry["wheelbase"])
-                row["identify"] = identified(part, entry, how)
-                row["shadow"] = shadowed(part, entry, how) if given.shadow and len(part) == 1 else []
+                row["identify"] = identified(part, entry, how) if "identify" in given.what else None
+                row["shadow"] = shadowed(part, entry, how) if "shadow" in given.what and len(part) == 1 else []
                 answers.append(row)
                 if given.json:
                     continue
@@ -205,7 +208,8 @@ def main() -> None:
                     print("    {samples} samples, {seconds:.0f} s, {rate:.0f} Hz: ".format(**row["columns"]) + ranges)
                 if math.isfinite(row["steady_gradient"]):
                     print(f"    steady turns alone: understeer gradient {row['steady_gradient']:.2f} deg/g")
-                show(row["identify"], entry.get("known", {}))
+                if row["identify"] is not None:
+                    show(row["identify"], entry.get("known", {}))
                 for each in row["shadow"]:
                     show_shadow(each)
     if given.json:
