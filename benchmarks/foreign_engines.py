@@ -1,0 +1,436 @@
+"""A car in physics engines that are not ours, driven through `Tracker`: MuJoCo and PyBullet.
+
+    pip install --target DIR mujoco pybullet          # neither belongs to this package; DIR must not shadow its NumPy
+    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco pybullet] [--only learning] [--json]
+
+Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
+nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
+and dead time are imposed and told to nobody.
+A call every 0.05 s, with the noise of profile `road`; speed: planned, held by torque at the wheels. Every controller is
+told mass and wheelbase (`vehicle_from_data_sheet`), "delay told" the steering as well. Roads: two mountain roads at 4
+m/s^2, a town, lane changes at 15 and 25 m/s, two random drives (set speed, friction .5 to 1, gusts). RMS and worst
+distance from the road (m) from the first second on; a run is lost 5 m off, or 45 degrees sideways. Also printed: the
+statuses of the tracker, and states of the belief, that are not `ok`, with the number of calls.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import tempfile
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+import adaptrack as at
+from adaptrack.drive.failure import DISTANCE, SIDESLIP
+from adaptrack.road.ahead import foot_near
+from adaptrack.road.speed import Comfort
+
+PERIOD, DT = 0.05, 0.002
+"""s, between calls, and of the engines."""
+MASS, WHEELBASE, TRACK, RADIUS, HEIGHT = 1650.0, 2.75, 1.56, 0.32, 0.55
+"""kg with wheels, m, m, m, m: of the centre of mass"""
+WHEEL = 22.0
+"""kg"""
+FRONT = 1.22
+"""m, from the centre of mass to the front axle"""
+INERTIA = (550.0, 2400.0, 2700.0)
+"""kg m^2, of the body, about its axes"""
+RATE = 0.6
+"""rad/s"""
+DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10), "pybullet": (0.15, 0.15)}
+"""s, lag and dead time"""
+SEEDS = {"mountain": (8101, 8102), "town": (8201,), "lanes": (8301, 8302), "random": (8401, 8402)}
+"""Of the judged runs. The cars were made to stand and roll on seeds below 100."""
+ARMS = (FRONT, FRONT, FRONT - WHEELBASE, FRONT - WHEELBASE)
+SIDES = (0.5 * TRACK, -0.5 * TRACK) * 2
+
+
+class State(NamedTuple):
+    """Of the centre of mass, in the plane; SI."""
+
+    x: float
+    y: float
+    yaw: float
+    speed: float
+    vy: float
+    yaw_rate: float
+
+
+class Engine(Protocol):
+    """A car in an engine."""
+
+    def place(self, x: float, y: float, yaw: float, speed: float) -> None:
+        """Put it on the ground, driving."""
+
+    def step(self, angle: float, force: float, push: float) -> None:
+        """`DT` on: mean angle of the front wheels (rad), force at the wheels along, gust across (N)."""
+
+    def state(self) -> State:
+        """Where it is."""
+
+    def friction(self, value: float) -> None:
+        """Friction of the ground."""
+
+
+def ackermann(angle: float) -> tuple[float, float]:
+    """Angles of the left and the right front wheel (rad) about the same centre of the turn."""
+    curvature = math.tan(angle) / WHEELBASE
+    return tuple(math.atan(WHEELBASE * curvature / (1.0 - curvature * side)) for side in SIDES[:2])  # type: ignore
+
+
+class MuJoCo:
+    """Body on four springs, ellipsoids rolling by soft frictional contact (E. Todorov et al., IROS 2012).
+
+    creep: s, time constant of the friction at the front and at the rear; None: the engine's own. Friction is a force
+    that grows with the sliding speed, so that the stiffness of an axle grows with the car's speed.
+    """
+
+    def __init__(self, creep: tuple[float, float] | None = None) -> None:
+        import mujoco
+
+        self.mujoco, self.creep = mujoco, creep
+        self.model = mujoco.MjModel.from_xml_string(self._xml())
+        self.data = mujoco.MjData(self.model)
+        self.body = self.model.body("body").id
+
+    def _xml(self) -> str:
+        wheels, pairs, motors = "", "", ""
+        for i, (arm, side) in enumerate(zip(ARMS, SIDES, strict=True)):
+            steer = f'<joint name="steer{i}" axis="0 0 1" damping="20"/>' if i < 2 else ""
+            wheels += f"""
+            <body name="hub{i}" pos="{arm} {side} {RADIUS - HEIGHT}">
+              <joint type="slide" axis="0 0 1" stiffness="32000" damping="3200" springref="{self._sag(i)}"/>{steer}
+              <inertial pos="0 0 0" mass="4" diaginertia=".1 .1 .1"/>
+              <body name="wheel{i}"><joint name="spin{i}" axis="0 1 0"/>
+                <geom name="tyre{i}" type="ellipsoid" size="{RADIUS} .1 {RADIUS}" mass="{WHEEL - 4.0}"/>
+              </body></body>"""
+            friction = "" if self.creep is None else f' solreffriction="{self.creep[i // 2]} 1"'
+            pairs += f'<pair geom1="ground" geom2="tyre{i}" condim="3"{friction}/>'
+            motors += f'<motor joint="spin{i}"/>'
+            if i < 2:
+                motors += f'<position joint="steer{i}" kp="40000" kv="900"/>'
+        inertia = " ".join(map(str, INERTIA))
+        return f"""
+        <mujoco><option timestep="{DT}" integrator="implicitfast" cone="elliptic"/><compiler angle="radian"/>
+          <worldbody><geom name="ground" type="plane" size="0 0 1"/>
+            <body name="body" pos="0 0 {HEIGHT}"><freejoint/>
+              <inertial pos="0 0 0" mass="{MASS - 4.0 * WHEEL}" diaginertia="{inertia}"/>{wheels}
+            </body></worldbody>
+          <contact>{pairs}</contact><actuator>{motors}</actuator></mujoco>"""
+
+    @staticmethod
+    def _sag(wheel: int) -> float:
+        """m, by which a spring is longer without load: the body stands level."""
+        share = (WHEELBASE - FRONT if wheel < 2 else FRONT) / WHEELBASE
+        return -0.5 * share * (MASS - 4.0 * WHEEL) * 9.81 / 32000.0
+
+    def place(self, x: float, y: float, yaw: float, speed: float) -> None:
+        self.mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:7] = x, y, HEIGHT, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
+        self.data.qvel[:2] = speed * math.cos(yaw), speed * math.sin(yaw)
+        for i in range(4):
+            self.data.joint(f"spin{i}").qvel[0] = speed / RADIUS
+        self.mujoco.mj_forward(self.model, self.data)
+
+    def step(self, angle: float, force: float, push: float) -> None:
+        torques = wheel_torques(force)
+        left, right = ackermann(angle)
+        self.data.ctrl[:] = torques[0], left, torques[1], right, torques[2], torques[3]
+        yaw = self.state().yaw
+        self.data.xfrc_applied[self.body, :2] = -push * math.sin(yaw), push * math.cos(yaw)
+        self.mujoco.mj_step(self.model, self.data)
+
+    def state(self) -> State:
+        w, x, y, z = self.data.qpos[3:7]
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return planar(self.data.qpos[0], self.data.qpos[1], yaw, *self.data.qvel[:2], self.data.qvel[5])
+
+    def friction(self, value: float) -> None:
+        self.model.pair_friction[:, :2] = value
+
+
+class PyBullet:
+    """Rigid axles on spheres that roll by Bullet's contact: Coulomb friction without creep (E. Coumans)."""
+
+    def __init__(self) -> None:
+        import pybullet
+
+        self.bullet = pybullet
+        self.client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setTimeStep(DT)
+        pybullet.setGravity(0.0, 0.0, -9.81)
+        self.ground = pybullet.createMultiBody(0.0, pybullet.createCollisionShape(pybullet.GEOM_PLANE))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "car.urdf"
+            path.write_text(self._urdf())
+            self.car = pybullet.loadURDF(str(path), [0.0, 0.0, HEIGHT], flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
+        names = [pybullet.getJointInfo(self.car, j)[1].decode() for j in range(pybullet.getNumJoints(self.car))]
+        self.steers = [names.index(f"steer{i}") for i in range(2)]
+        self.spins = [names.index(f"spin{i}") for i in range(4)]
+        for body, link in [(self.ground, -1), *((self.car, j) for j in range(-1, len(names)))]:
+            pybullet.changeDynamics(
+                body, link, lateralFriction=1.0, rollingFriction=0.0, spinningFriction=0.0, linearDamping=0.0,
+                angularDamping=0.0, jointDamping=0.0,
+            )  # fmt: skip
+        for joint in self.spins:
+            pybullet.setJointMotorControl2(self.car, joint, pybullet.VELOCITY_CONTROL, force=0.0)
+        self.before = (0.0, 0.0)
+
+    @staticmethod
+    def _link(name: str, mass: float, inertia: tuple[float, ...], shape: str = "") -> str:
+        ixx, iyy, izz = inertia
+        return (
+            f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" '
+            f'ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
+        )
+
+    def _urdf(self) -> str:
+        parts = self._link("body", MASS - 4.0 * WHEEL, INERTIA)
+        sphere = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
+        for i, (arm, side) in enumerate(zip(ARMS, SIDES, strict=True)):
+            place = f'<origin xyz="{arm} {side} {RADIUS - HEIGHT}"/>'
+            parent = "body"
+            if i < 2:
+                parent = f"hub{i}"
+                parts += self._link(parent, 4.0, (0.1, 0.1, 0.1))
+                parts += (
+                    f'<joint name="steer{i}" type="revolute"><parent link="body"/><child link="{parent}"/>{place}'
+                    '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1e6" velocity="100"/></joint>'
+                )
+                place = ""
+            parts += self._link(f"wheel{i}", WHEEL - (4.0 if i < 2 else 0.0), (0.5, 0.9, 0.5), sphere)
+            parts += (
+                f'<joint name="spin{i}" type="continuous"><parent link="{parent}"/><child link="wheel{i}"/>{place}'
+                '<axis xyz="0 1 0"/></joint>'
+            )
+        return f'<robot name="car">{parts}</robot>'
+
+    def place(self, x: float, y: float, yaw: float, speed: float) -> None:
+        turned = self.bullet.getQuaternionFromEuler([0.0, 0.0, yaw])
+        self.bullet.resetBasePositionAndOrientation(self.car, [x, y, HEIGHT], turned)
+        self.bullet.resetBaseVelocity(self.car, [speed * math.cos(yaw), speed * math.sin(yaw), 0.0], [0.0] * 3)
+        for joint in self.steers:
+            self.bullet.resetJointState(self.car, joint, 0.0, 0.0)
+        for joint in self.spins:
+            self.bullet.resetJointState(self.car, joint, 0.0, speed / RADIUS)
+
+    def step(self, angle: float, force: float, push: float) -> None:
+        angles = ackermann(angle)
+        rates = [(new - old) / DT for new, old in zip(angles, self.before, strict=True)]
+        self.before = angles
+        self.bullet.setJointMotorControlArray(
+            self.car, self.steers, self.bullet.POSITION_CONTROL, targetPositions=angles, targetVelocities=rates,
+            forces=[2e4, 2e4], positionGains=[0.4, 0.4], velocityGains=[1.0, 1.0],
+        )  # fmt: skip
+        self.bullet.setJointMotorControlArray(
+            self.car, self.spins, self.bullet.TORQUE_CONTROL, forces=wheel_torques(force)
+        )
+        if push:
+            self.bullet.applyExternalForce(self.car, -1, [0.0, push, 0.0], [0.0] * 3, self.bullet.LINK_FRAME)
+        self.bullet.stepSimulation()
+
+    def state(self) -> State:
+        where, turned = self.bullet.getBasePositionAndOrientation(self.car)
+        linear, angular = self.bullet.getBaseVelocity(self.car)
+        yaw = self.bullet.getEulerFromQuaternion(turned)[2]
+        return planar(where[0], where[1], yaw, linear[0], linear[1], angular[2])
+
+    def friction(self, value: float) -> None:
+        self.bullet.changeDynamics(self.ground, -1, lateralFriction=value)
+
+
+CREEP = (0.13, 0.11)
+"""s: understeering by 1.5 deg/g at 6 m/s, .6 at 15, .4 at 25"""
+ENGINES: dict[str, Callable[[], Engine]] = {
+    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP), "pybullet": PyBullet,
+}  # fmt: skip
+
+
+def wheel_torques(force: float) -> list[float]:
+    """N m at the four wheels: the rear ones drive, all brake."""
+    return [0.0, 0.0, *[0.5 * force * RADIUS] * 2] if force > 0.0 else [0.25 * force * RADIUS] * 4
+
+
+def planar(x: float, y: float, yaw: float, east: float, north: float, yaw_rate: float) -> State:
+    """Velocities along and across the car."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return State(float(x), float(y), yaw, float(c * east + s * north), float(c * north - s * east), float(yaw_rate))
+
+
+class Steering:
+    """Dead time, lag and rate limit between a command and the wheels."""
+
+    def __init__(self, lag: float, dead_time: float) -> None:
+        self.lag, self.angle = lag, 0.0
+        self.under_way = deque([0.0] * round(dead_time / DT))
+
+    def step(self, command: float) -> float:
+        """The wheels' angle (rad) after `DT`."""
+        self.under_way.append(command)
+        rate = (self.under_way.popleft() - self.angle) / self.lag
+        self.angle += DT * min(max(rate, -RATE), RATE)
+        return self.angle
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A road, how fast, and what happens on it."""
+
+    name: str
+    seed: int
+    road: at.Road
+    plan: at.SpeedPlan
+    seconds: float
+    events: bool = False
+    """whether friction and gusts change"""
+
+
+def trips() -> list[Trip]:
+    """Those that are judged."""
+    found = [_generated("mountain", seed, 4.0, 120.0) for seed in SEEDS["mountain"]]
+    found += [_generated("town", seed, 3.0, 120.0) for seed in SEEDS["town"]]
+    found += [_lanes(seed, speed) for seed, speed in zip(SEEDS["lanes"], (15.0, 25.0), strict=True)]
+    return found + [_random(seed) for seed in SEEDS["random"]]
+
+
+def _generated(kind: str, seed: int, lateral: float, seconds: float) -> Trip:
+    road = at.generate_road(kind, seed=seed, length=2500.0)
+    return Trip(kind, seed, road, at.plan_speed(road, comfort=Comfort(lateral=lateral)), seconds)
+
+
+def _lanes(seed: int, speed: float) -> Trip:
+    """Lane changes of 3.5 m in 3 to 5 s, sin^2, one every 8 s."""
+    rng = np.random.default_rng(seed)
+    x, y, at_side = np.arange(0.0, 60.0 * speed + 200.0, 0.25 * speed), 0.0, 0.0
+    y = np.zeros_like(x)
+    for k in range(7):
+        share = np.clip((x / speed - 4.0 - 8.0 * k) / rng.uniform(3.0, 5.0), 0.0, 1.0)
+        target = 3.5 - at_side
+        y += (target - at_side) * (share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi))
+        at_side = target
+    road = at.road_through(np.stack([x, y], axis=-1))
+    return Trip("lanes", seed, road, at.plan_speed(road, top_speed=speed, start=speed), 60.0)
+
+
+def _random(seed: int) -> Trip:
+    """A country road whose limits change, on a ground whose friction changes, in gusts."""
+    rng = np.random.default_rng(seed)
+    limits = 300.0 * np.arange(10.0), rng.uniform(9.0, 26.0, 10)
+    road = at.generate_road("country", seed=seed, length=3000.0, speed_limit=limits)
+    return Trip("random", seed, road, at.plan_speed(road, comfort=Comfort(lateral=2.5)), 120.0, events=True)
+
+
+def controllers(delays: tuple[float, float]) -> dict[str, Any]:
+    """Name -> controller, each told mass and wheelbase; "delay told" the steering as well, and it does not learn."""
+    sheet = at.vehicle_from_data_sheet("sheet", MASS, WHEELBASE)
+    steering = at.Steering(lag=delays[0], dead_time=delays[1] - PERIOD, rate=RATE)  # one period is its computation
+    sampled = {"period": PERIOD, "preview": True}
+    return {
+        "learning": at.MPC(sheet, profile="road", belief="unknown", learning=at.Learning()),
+        "delay told": at.MPC(sheet, profile="road", belief=steering, learning=None),
+        "lqr": at.LQR(sheet, **sampled), "stanley": at.Stanley(sheet, **sampled),
+        "pure pursuit": at.PurePursuit(sheet, **sampled),
+    }  # fmt: skip
+
+
+def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Trip) -> dict[str, Any]:
+    """What came out of a run, in m."""
+    rng, own = np.random.default_rng(trip.seed), np.random.default_rng((trip.seed, 1))
+    noise, steering = at.load_profile("road"), Steering(*delays)
+    start = trip.road.at(1.0)
+    engine.friction(1.0)
+    engine.place(float(start.x), float(start.y), float(start.heading), float(trip.plan.at(1.0)))
+    tracker, command, near, push, lost = at.Tracker(controller, trip.road, plan=trip.plan), 0.0, 1.0, 0.0, None
+    offsets: list[float] = []
+    said: Counter[str] = Counter()
+    for k in range(round(trip.seconds / DT)):
+        t, car = k * DT, engine.state()
+        if k % round(PERIOD / DT) == 0:
+            foot = foot_near(trip.road, car.x, car.y, near)
+            near, offset = float(foot.s), float(foot.offset)
+            if near > trip.road.length - 30.0:
+                break
+            if not abs(offset) < DISTANCE or abs(math.atan2(car.vy, max(car.speed, 1.0))) > SIDESLIP:
+                lost = t
+                break
+            offsets.append(offset)
+            sample = (
+                car.x + noise.noise_y * rng.normal(), car.y + noise.noise_y * rng.normal(),
+                car.yaw + noise.noise_yaw * rng.normal(), car.speed, car.yaw_rate + noise.noise_yaw_rate * rng.normal(),
+            )  # fmt: skip
+            vy = car.vy + noise.noise_vy * rng.normal()
+            told = tracker.step(t, *sample, lateral_velocity=vy)
+            command = told.command
+            said.update([told.status.value] + ([told.belief.name.lower()] if getattr(told, "belief", None) else []))
+            now, soon = trip.plan.at([near, near + 0.1 * car.speed])
+            force = MASS * ((soon - now) / 0.1 + 1.5 * (now - car.speed))
+            if trip.events:
+                push += PERIOD * (-push / 3.0) + 0.35 * MASS * math.sqrt(PERIOD) * own.normal()
+                if k % round(8.0 / DT) == 0:
+                    engine.friction(float(own.uniform(0.5, 1.0)))
+        engine.step(steering.step(command), force, push)
+    judged = np.array(offsets[round(1.0 / PERIOD) :] or [math.nan])
+    return {
+        "rms": float(np.sqrt(np.mean(judged**2))), "worst": float(np.max(np.abs(judged))), "lost": lost,
+        "seconds": PERIOD * len(offsets), "learned": learned(controller),
+        "said": {word: count for word, count in said.items() if word != "ok"},
+    }  # fmt: skip
+
+
+def learned(controller: Any) -> dict[str, float] | None:
+    """What the controller believes at the end."""
+    if getattr(controller, "learner", None) is None:
+        return None
+    car = controller.learned()
+    return {name: getattr(car, name) for name in ("lag", "dead_time", "delay_sigma", "stiffness", "balance", "bias")}
+
+
+def line(row: dict[str, Any]) -> str:
+    """A run in a line."""
+    end = "" if row["lost"] is None else f"  lost at {row['lost']:.1f} s"
+    words = [f"{word} {count}" for word, count in row["said"].items()]
+    words += [f"{key} {value:.3g}" for key, value in (row["learned"] or {}).items()]
+    return (
+        f"{row['engine']:12s} {row['road']:9s} {row['seed']} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
+        f"{row['worst']:.3f}  {row['seconds']:4.0f} s{end}  {'  '.join(words)}"
+    )
+
+
+def main() -> None:
+    """Print a row for each run, and what is lost in all."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("--engine", nargs="+", default=list(ENGINES), choices=list(ENGINES))
+    ask.add_argument("--only", nargs="+", help="names of controllers")
+    ask.add_argument("--json", action="store_true")
+    given = ask.parse_args()
+    found: list[dict[str, Any]] = []
+    for name in given.engine:
+        engine = ENGINES[name]()
+        for trip in trips():
+            for label, controller in controllers(DELAYS[name]).items():
+                if given.only and label not in given.only:
+                    continue
+                begun = time.perf_counter()
+                row = {"engine": name, "road": trip.name, "seed": trip.seed, "controller": label}
+                row |= drive(engine, DELAYS[name], controller, trip)
+                found.append(row)
+                if not given.json:
+                    print(line(row), f"({time.perf_counter() - begun:.0f} s)", flush=True)
+    if given.json:
+        print(json.dumps(found))
+        return
+    for label in dict.fromkeys(row["controller"] for row in found):
+        rows = [row for row in found if row["controller"] == label]
+        print(f"{label}: {sum(row['lost'] is not None for row in rows)} of {len(rows)} lost")
+
+
+if __name__ == "__main__":
+    main()
