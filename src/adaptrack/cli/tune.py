@@ -140,7 +140,7 @@ def _keep(
 
     found, own = result
     ConstantTuning(
-        controller=given.controller, vehicle=setting.car.name, profile=setting.profile.name,
+        controller=given.controller, belief=own.belief_at_first, vehicle=setting.car.name, profile=setting.profile.name,
         period=setting.profile.period, roads=tuple(str(drive.name) for drive in setting.runs.scenarios),
-        noise_seeds=tuple(seeds), command=options.command_line(), belief=own.belief_at_first, tuning=found.tuning,
+        noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
     ).to_toml(given.out)  # fmt: skip

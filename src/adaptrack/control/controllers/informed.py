@@ -126,7 +126,7 @@ def informed_parts(
     why = "as given" if learning != AUTO else f"as nobody says {unsaid}" if unsaid else "as lag and dead time are said"
     if isinstance(learning, Learning) or (learning == AUTO and unsaid):
         method = learning if isinstance(learning, Learning) else UNASKED
-        to_learn = _to_learn(car, plain, uncertainty, alone=profile is None)
+        to_learn = _to_learn(plain, uncertainty, alone=profile is None)
         made = _learning_parts(car, world, (*to_learn, method), step, estimator)
         return made._replace(learns=f"learns, {why}: {made.learns}")
     unsure = Uncertainty.of_car(car, plain) if uncertainty is None else Uncertainty.declared(uncertainty)
@@ -145,12 +145,13 @@ def informed_parts(
 
 
 def _learning_parts(
-    car: Vehicle, profile: Profile, given: tuple[Belief, Uncertainty, Learning], period: float,
+    car: Vehicle, profile: Profile, given: tuple[Belief, Uncertainty | None, Learning], period: float,
     estimator: KalmanFilter | None,
 ) -> Parts:  # fmt: skip
     """The parts of an MPC that learns its car; given: what is said of the steering, how far it may be wrong, method."""
     said, unsure, learning = given
     sensing = KalmanFilter.of_profile(profile) if estimator is None else estimator
+    unsure = _unknown(car, said, profile.delay * period) if unsure is None else unsure
     learner = Learner(learning, car, said, unsure, sensing, period)
     first = memory_of(learner.fresh(), 0).beliefs
     elsewhere = learning.wandering * float(first.belief_delay_sigma) / learning.modest  # rad/s, as the kernel has it
@@ -167,22 +168,29 @@ def _learning_parts(
     )
 
 
-def _to_learn(car: Vehicle, said: Belief, uncertainty: Uncertainty | None, alone: bool) -> tuple[Belief, Uncertainty]:
-    """What a controller that learns believes of the steering, and how far that may be wrong: what is given, else
-    `UNKNOWN_CAR`, or what the car's file says where that is more. Of a delay that nobody says it is never nothing.
+def _to_learn(said: Belief, uncertainty: Uncertainty | None, alone: bool) -> tuple[Belief, Uncertainty | None]:
+    """What a controller that learns is given of the steering, and how far that may be wrong, None where nobody says.
 
-    alone: whether no profile says the computation: a dead time that nobody says holds it.
+    alone: whether no profile says the computation: a dead time that nobody says holds it. A delay that nobody says is
+    never certain.
     """
-    unknown = UNKNOWN_CAR
     if alone and "dead_time" in said.assumed:
-        most = min(unknown.dead_time + said.computation.value, MOST_DELAY)
-        unknown, said = replace(unknown, dead_time=most), replace(said, computation=Said(0.0, WITHIN_DEAD_TIME))
-    if uncertainty is not None:
-        unsaid = [name for name in ("lag", "dead_time") if name in said.assumed and getattr(uncertainty, name) == 0.0]
-        return said, replace(uncertainty, **{name: getattr(unknown, name) for name in unsaid})
+        said = replace(said, computation=Said(0.0, WITHIN_DEAD_TIME))
+    if uncertainty is None:
+        return said, None
+    unsaid = [name for name in ("lag", "dead_time") if name in said.assumed and getattr(uncertainty, name) == 0.0]
+    return said, replace(uncertainty, **{name: getattr(UNKNOWN_CAR, name) for name in unsaid})
+
+
+def _unknown(car: Vehicle, said: Belief, late: float) -> Uncertainty:
+    """How far the belief may be wrong where the caller does not say: `UNKNOWN_CAR`, and what the car's file says where
+    that is more; late: computation (s), for which the dead time may be longer where it is learned with it.
+    """
     of_file = Uncertainty.of_car(car, said)
-    names = [each.name for each in fields(Uncertainty)]
-    return said, Uncertainty(**{name: max(getattr(unknown, name), getattr(of_file, name)) for name in names})
+    found = {each.name: max(getattr(UNKNOWN_CAR, each.name), getattr(of_file, each.name)) for each in fields(of_file)}
+    if said.computation.source == WITHIN_DEAD_TIME:
+        found["dead_time"] = min(found["dead_time"] + late, MOST_DELAY)
+    return Uncertainty(**found)
 
 
 def _begun(said: Belief, learner: Learner, first: tuple[float, float]) -> Belief:

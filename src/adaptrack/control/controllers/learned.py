@@ -61,13 +61,9 @@ class BeliefState(IntEnum):
         return "at a bound" if at_bound is None else f"at a bound ({at_bound.replace('_', ' ')})"
 
 
-QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
-"""What may be at a bound, as `belief_at_bound` of the diagnostics counts it from 1."""
-
-
 def bounded_quantity(at_bound: float) -> str | None:
     """The quantity that the diagnostic `belief_at_bound` names; None: none is at a bound."""
-    return QUANTITIES_BOUNDED[int(at_bound) - 1] if at_bound >= 1.0 else None
+    return kernel.QUANTITIES_BOUNDED[int(at_bound) - 1] if at_bound >= 1.0 else None
 
 
 class LearnedNumber(NamedTuple):

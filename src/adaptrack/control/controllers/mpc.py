@@ -129,7 +129,7 @@ class MPCCommand(NamedTuple):
 
     @property
     def belief_at_bound(self) -> str | None:
-        """The quantity whose belief is at the end of its range (`QUANTITIES_BOUNDED`); None: none."""
+        """The quantity whose belief is at the end of its range, as `QUANTITIES_BOUNDED` names it; None: none."""
         return bounded_quantity(self.learned[BELIEF.belief_at_bound]) if self.learned else None
 
 

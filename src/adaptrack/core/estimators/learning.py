@@ -97,6 +97,8 @@ BELIEFS = (
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
 BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
+QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
+"""What may be at a bound, as `belief_at_bound` counts it from 1."""
 
 STATES = 11
 VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION, LAG, DEAD_TIME, OFFSET = range(STATES)
