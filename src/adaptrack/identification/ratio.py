@@ -13,7 +13,7 @@ from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified import HARDLY, Estimate
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log
-from adaptrack.identification.quantities import INDEX
+from adaptrack.identification.quantities import INDEX, Prior
 
 Array = NDArray[np.float64]
 
@@ -53,20 +53,15 @@ def gain_of(likelihood: Likelihood, z: Array) -> Gain:
     log = likelihood.log
     if log.commanded and likelihood.present["wheel"]:  # which was read with the same ratio
         log = replace(log, wheel=np.full(log.samples, math.nan))
-    each = Likelihood(log, likelihood.car, likelihood.beliefs)
+    each = Likelihood(log, likelihood.car, likelihood.beliefs | {"gain": Prior(1.0, FREED)})
+    free, freed = each.free, each.spread
     each.take_gusts(likelihood)
-    place = INDEX["gain"]
-    each.spread[place] = FREED
-    silent = (
-        [] if each.present["wheel"] == likelihood.present["wheel"] else [INDEX["noise_wheel"], INDEX["wheel_offset"]]
-    )
-    each.free = np.setdiff1d(np.append(each.free, place), silent)
+    each.free, each.spread = free, freed
+    place = int(np.searchsorted(free, INDEX["gain"]))
     there, at = each.fit(z, NEARLY)
-    spread = FREED * math.sqrt(
-        each.covariance(at)[np.searchsorted(each.free, place), np.searchsorted(each.free, place)]
-    )
+    spread = FREED * math.sqrt(each.covariance(at)[place, place])
     data = 1.0 / math.sqrt(max(1.0 / spread**2 - 1.0 / FREED**2, 1e-9))
-    mean = FREED * float(there[place]) * (1.0 + (data / FREED) ** 2)  # without the prior
+    mean = FREED * float(there[INDEX["gain"]]) * (1.0 + (data / FREED) ** 2)  # without the prior
     return Gain(math.exp(min(max(mean, -5.0), 5.0)), data)
 
 
