@@ -89,9 +89,9 @@ def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[
         if name not in MODEL_ERRORS:
             continue
         freed = [_freed(prior.mean[i], prior.variance[i], each.mean[i], each.variance[i]) for each in said]
-        told = [(value, variance) for value, variance in freed if math.isfinite(variance)]
-        if len(told) > 1:
-            tests.append((name, np.array(told).T))
+        informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
+        if len(informed) > 1:
+            tests.append((name, np.array(informed).T))
     found = []
     for name, (values, variances) in tests:
         positive = name != "understeer_gradient"

@@ -31,7 +31,7 @@ from adaptrack.identification.quantities import (
     plain_car,
     understeer,
 )
-from adaptrack.identification.ratio import UNTOLD, gain_of, judged, of_found
+from adaptrack.identification.ratio import OPEN, gain_of, judged, of_found
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.identification.several import combined, shared_by
 from adaptrack.identification.words import findings
@@ -142,12 +142,12 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
-    kept, against, untold = _ratio(fit, estimates)
+    kept, against, open_ratio = _ratio(fit, estimates)
     reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
     rows = [i for i, name in enumerate(estimates) if name in kept]
     return Identification(
         kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation,
-        findings(log, estimates, validation) + untold, log, car, curve, columns.computation, series, tuple(reasons),
+        findings(log, estimates, validation) + open_ratio, log, car, curve, columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
 
@@ -157,15 +157,15 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     likelihood, first = fits[main].likelihood, alone[main]
     reasons = contradictions("logs", *_said_by(fits, fits[main]))
     own = [
-        f"log {i + 1}: {why}" for i, each in enumerate(alone) for why in each.reasons if not why.startswith(UNTOLD)
+        f"log {i + 1}: {why}" for i, each in enumerate(alone) for why in each.reasons if not why.startswith(OPEN)
     ]  # fmt: skip
     joint = combined(fits, agree=not (reasons or own))
     estimates, jacobian = _estimates(likelihood, *joint[main])
-    told = [i for i, each in enumerate(alone) if "ratio" in each.estimates]
-    shared = {name: each for name, each in estimates.items() if name in SHARED and (name != "ratio" or told)}
+    known = [i for i, each in enumerate(alone) if "ratio" in each.estimates]
+    shared = {name: each for name, each in estimates.items() if name in SHARED and (name != "ratio" or known)}
     rows = [i for i, name in enumerate(estimates) if name in shared]
-    untold = [why for why in first.reasons if why.startswith(UNTOLD)] if not told else []
-    reasons = [*(reasons or beyond_belief(shared, first.believed)), *own, *untold]
+    open_ratio = [why for why in first.reasons if why.startswith(OPEN)] if not known else []
+    reasons = [*(reasons or beyond_belief(shared, first.believed)), *own, *open_ratio]
     return replace(
         first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
         findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),
@@ -174,14 +174,14 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
 
 
 def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
-    """The estimates that may be told, what contradicts the steering ratio, and what cannot be told of it."""
+    """The estimates that may be reported, what contradicts the steering ratio, and what is open."""
     log = fit.likelihood.log
     if "ratio" not in estimates:
-        against, untold = judged(log, gain_of(fit.likelihood, fit.z))
-        return estimates, [against] if against else [], (untold,) if untold else ()
-    told, said = of_found(log, estimates["ratio"])
+        against, open_ratio = judged(log, gain_of(fit.likelihood, fit.z))
+        return estimates, [against] if against else [], (open_ratio,) if open_ratio else ()
+    known, said = of_found(log, estimates["ratio"])
     guessed = fit.beliefs["gain"].spread == RATIO_SPREAD[0]
-    if told or not guessed:
+    if known or not guessed:
         return estimates, [], (said,) if said else ()
     return {name: each for name, each in estimates.items() if name != "ratio"}, [said], ()
 

@@ -118,21 +118,6 @@ class Likelihood:
         self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
 
-    @property
-    def beliefs(self) -> dict[str, Prior]:
-        """Of every quantity, as they are now."""
-        pairs = zip(self.median, self.spread, strict=True)
-        return {each.name: Prior(*map(float, pair)) for each, pair in zip(QUANTITIES, pairs, strict=True)}
-
-    def part(self, rows: slice) -> Likelihood:
-        """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
-        begins = self.log.begins[rows].copy()
-        begins[0] = True
-        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
-        each = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
-        each._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
-        return each
-
     def widen_gusts(self, z: Array) -> Array:
         """Keep the wind's spread at `WIDER` times that of a point; the point there.
 
@@ -153,6 +138,21 @@ class Likelihood:
         power = _window_mean(time, change**2, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
         self._rows[self._kernel.ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
+
+    @property
+    def beliefs(self) -> dict[str, Prior]:
+        """Of every quantity, as they are now."""
+        pairs = zip(self.median, self.spread, strict=True)
+        return {each.name: Prior(*map(float, pair)) for each, pair in zip(QUANTITIES, pairs, strict=True)}
+
+    def part(self, rows: slice) -> Likelihood:
+        """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
+        begins = self.log.begins[rows].copy()
+        begins[0] = True
+        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
+        each = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
+        each._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
+        return each
 
     def counted(self, z: Array) -> tuple[Array, Array]:
         """Innovations and variances that count, flat."""

@@ -13,7 +13,7 @@ from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified import HARDLY, Estimate
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log
-from adaptrack.identification.quantities import INDEX
+from adaptrack.identification.quantities import INDEX, Prior
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ WRONG, SURE = 0.13, 2.0
 """Of ln(ratio), and of its standard deviations, from which it is wrong."""
 FREED = 0.5
 """Spread of ln(gain) where the given ratio is put to the test."""
-UNTOLD = "cannot tell the ratio"
+OPEN = "cannot tell the ratio"
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
 
@@ -53,27 +53,22 @@ def gain_of(likelihood: Likelihood, z: Array) -> Gain:
     log = likelihood.log
     if log.commanded and likelihood.present["wheel"]:  # which was read with the same ratio
         log = replace(log, wheel=np.full(log.samples, math.nan))
-    each = Likelihood(log, likelihood.car, likelihood.beliefs)
+    each = Likelihood(log, likelihood.car, likelihood.beliefs | {"gain": Prior(1.0, FREED)})
+    free, freed = each.free, each.spread
     each.take_gusts(likelihood)
-    place = INDEX["gain"]
-    each.spread[place] = FREED
-    silent = (
-        [] if each.present["wheel"] == likelihood.present["wheel"] else [INDEX["noise_wheel"], INDEX["wheel_offset"]]
-    )
-    each.free = np.setdiff1d(np.append(each.free, place), silent)
+    each.free, each.spread = free, freed
+    place = int(np.searchsorted(free, INDEX["gain"]))
     there, at = each.fit(z, NEARLY)
-    spread = FREED * math.sqrt(
-        each.covariance(at)[np.searchsorted(each.free, place), np.searchsorted(each.free, place)]
-    )
+    spread = FREED * math.sqrt(each.covariance(at)[place, place])
     data = 1.0 / math.sqrt(max(1.0 / spread**2 - 1.0 / FREED**2, 1e-9))
-    mean = FREED * float(there[place]) * (1.0 + (data / FREED) ** 2)  # without the prior
+    mean = FREED * float(there[INDEX["gain"]]) * (1.0 + (data / FREED) ** 2)  # without the prior
     return Gain(math.exp(min(max(mean, -5.0), 5.0)), data)
 
 
 def judged(log: Log, gain: Gain) -> tuple[str, str]:
-    """What contradicts the given ratio, and what cannot be told of it; one of both at most."""
+    """What contradicts the given ratio, and what is open; one of both at most."""
     if gain.spread > TELLS or bends(log) < LEAST_BENDS:
-        return "", f"{UNTOLD}: whether the logged angles are those of the road wheels rests on what was given"
+        return "", f"{OPEN}: whether the logged angles are those of the road wheels rests on what was given"
     off = math.log(gain.factor)
     if abs(off) <= max(WRONG, SURE * gain.spread):
         return "", ""
@@ -86,15 +81,14 @@ def judged(log: Log, gain: Gain) -> tuple[str, str]:
 
 
 def of_found(log: Log, ratio: Estimate) -> tuple[bool, str]:
-    """Whether a ratio that was to be found is told, and what is said of it."""
+    """Whether a ratio that was to be found is known, and what is said of it."""
     driven = bends(log)
     if driven < LEAST_BENDS:
         return False, (
-            f"{UNTOLD}: {driven:.0f} s of bends, {LEAST_BENDS:g} s are needed; drive slow bends, or give "
-            "--steering-ratio"
+            f"{OPEN}: {driven:.0f} s of bends, {LEAST_BENDS:g} s are needed; drive slow bends, or give --steering-ratio"
         )
     if ratio.spread_left > HARDLY:
-        return False, f"{UNTOLD}: drive slow bends, or give --steering-ratio"
+        return False, f"{OPEN}: drive slow bends, or give --steering-ratio"
     factor = ratio.high / ratio.value
     if factor > RATIO_LOOSE:
         return True, f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"

@@ -94,11 +94,11 @@ def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) ->
         rows, places = _places(each.likelihood)
         precision = np.linalg.inv(covariance[np.ix_(rows, rows)])
         values, vectors = np.linalg.eigh(precision - np.eye(len(rows)))
-        told = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        added = (vectors * np.maximum(values, 0.0)) @ vectors.T
         mean = z[each.likelihood.free][rows]
-        freed = np.linalg.pinv(told, hermitian=True) @ (precision @ mean)
-        information[np.ix_(places, places)] += told
-        toward[places] += told @ freed
+        freed = np.linalg.pinv(added, hermitian=True) @ (precision @ mean)
+        information[np.ix_(places, places)] += added
+        toward[places] += added @ freed
     return np.asarray(np.linalg.solve(information, toward), dtype=np.float64), information
 
 

@@ -151,8 +151,8 @@ def _of_each_log(found: Identification) -> list[ResultTable]:
     """What each of several logs says by itself."""
     rows: list[Row] = []
     for name in found.estimates:
-        told = [each.estimates.get(name) for each in found.alone]
-        intervals = [(each.low, each.high) if each and 0.0 < each.spread_left < 1.0 else None for each in told]
+        own = [each.estimates.get(name) for each in found.alone]
+        intervals = [(each.low, each.high) if each and 0.0 < each.spread_left < 1.0 else None for each in own]
         if any(intervals):
             each_log = {f"log_{i + 1}": interval for i, interval in enumerate(intervals)}
             rows.append({"quantity": name.replace("_", " "), "unit": found[name].unit} | each_log)
