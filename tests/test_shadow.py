@@ -3,13 +3,15 @@
 import json
 
 import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
 import adaptrack as at
 from adaptrack.cli.app import app
 from adaptrack.comparison.statistics import block_rms
-from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.estimators.learning import BELIEFS, memory_of
 from adaptrack.identification.instants import ReadLog
 from adaptrack.results.console import print_result
 from adaptrack.results.shadow import shadow_result
@@ -146,6 +148,25 @@ def test_another_path_changes_what_is_proposed_and_not_what_is_learned(saved):
     for name in BELIEFS:
         assert np.array_equal(found.beliefs[name], saved[1].beliefs[name])
     assert np.mean((found.proposed - saved[1].proposed)[:20]) > 0.01  # the path lies to the left
+
+
+def test_a_record_of_a_loop_is_a_log(drive, watched, tmp_path):
+    """With the columns of a tracker's record; what was not measured is NaN."""
+    log, _, run = drive
+    nothing = np.full(len(run), np.nan)
+    table = log | {"acceleration": nothing, "wheel": nothing, "x": run.X, "y": run.Y, "yaw": run.psi}
+    pyarrow.parquet.write_table(pyarrow.table(table), tmp_path / "loop.parquet")
+    found = at.shadow(tmp_path / "loop.parquet", CAR, computation=0.05).logs[0]
+    for name in BELIEFS:
+        assert np.array_equal(found.beliefs[name], watched.beliefs[name])
+    assert np.isfinite(found.proposed).mean() > 0.9
+
+
+def test_a_dead_time_that_rounds_below_nothing_is_nothing():
+    learner = learning_mpc().learner
+    memory = learner.fresh()
+    memory_of(memory, 0).beliefs.belief_dead_time = -7e-18
+    assert learner.learned(memory).dead_time == 0.0
 
 
 def test_the_belief_is_carried_from_log_to_log(drive):

@@ -385,7 +385,8 @@ def _at_bounds(found: Mapping[Any, Array], ours: Observer) -> dict[str, Flags]:
     share, flags = NEAR if bound is None else 0.5, {}
     for i, (name, (value, low, high)) in enumerate(ranges.items()):
         held = low < high if bound is None else bound == i + 1
-        flags[f"{name} at the low end of its range"] = held & (value <= low + share * (high - low))
+        if low > {"lag": LEAST_LAG, "dead time": 0.0}.get(name, -math.inf):  # no delay at all is no bound
+            flags[f"{name} at the low end of its range"] = held & (value <= low + share * (high - low))
         flags[f"{name} at the high end of its range"] = held & (value >= high - share * (high - low))
     return flags
 

@@ -434,6 +434,7 @@ class Learner:
         """What a memory holds."""
         found = kernel.memory_of(memory, 0)
         known: dict[str, Any] = {name.removeprefix("belief_"): float(found.beliefs[name]) for name in kernel.BELIEFS}
+        known["dead_time"] = max(known["dead_time"], 0.0)  # less the computation it may round below
         kept = {name: known[name] for name in LearnedCar.model_fields if name in known}
         seconds = self.period * float(found.count)
         seconds += 0.0 if self.own.start is None else self.own.start.seconds
