@@ -3,11 +3,13 @@
     python benchmarks/circuits.py FOLDER --out after.json [--against before.json]
     python benchmarks/circuits.py FOLDER --no-holds --out before.json
     python benchmarks/circuits.py FOLDER --domain [--no-holds]
+    python benchmarks/circuits.py --made 20 --braked 5
 
 FOLDER holds centre lines as CSV files (`load_road`). Each is planned at 4 and at 7 m/s^2 sideways and driven once around
 with the informed controller, in `road` and `production`, three noise seeds, two cars. Speeds end at 100 m/s, for the
 roads have no limit and the domain of most cars' files ends at 27 m/s; with `--domain` they end with that. `--no-holds`
-leaves out what the controller can hold (`holdable_speed`). `--against` compares lap times, over the circuits on which
+leaves out what the controller can hold (`holdable_speed`). `--made` drives random rows of straights and bends instead:
+on those, with other seeds, `braked` was chosen, not on circuits. `--against` compares lap times, over the circuits on which
 the other file has no failure.
 """
 
@@ -26,7 +28,7 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.road import Comfort, Road, load_road, plan_speed
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, load_road, plan_speed
 from adaptrack.scenario import RoadDrive
 
 SEEDS = (81_001, 81_002, 81_003)
@@ -38,6 +40,26 @@ ALLOWED = {4.0: 1.01, 7.0: 1.03}
 """Lap time over that of before, at most, at each lateral acceleration."""
 
 
+MADE_SEEDS = (5, 6)
+"""Of the drives along made roads."""
+
+
+def made(seed: int) -> Road:
+    """A row of straights of 50 to 900 m and bends of 15 to 300 m radius, 5 km long, with clothoids between."""
+    rng, segments, length = np.random.default_rng(seed), [], 0.0
+    while length < 5000.0:
+        straight = float(np.exp(rng.uniform(np.log(50.0), np.log(900.0))))
+        k = float(rng.choice([-1.0, 1.0]) / np.exp(rng.uniform(np.log(15.0), np.log(300.0))))
+        ramp = float(np.clip(rng.uniform(0.3, 1.0) / abs(k), 15.0, 80.0))
+        arc = max(float(rng.uniform(0.3, 2.6)) / abs(k) - ramp, 5.0)
+        segments += [
+            Line(length=straight), Clothoid(length=ramp, start_curvature=0.0, end_curvature=k),
+            Arc(length=arc, curvature=k), Clothoid(length=ramp, start_curvature=k, end_curvature=0.0),
+        ]  # fmt: skip
+        length += straight + 2.0 * ramp + arc
+    return Road.from_segments(segments, name=f"made {seed}")
+
+
 def drive(road: Road, car_name: str, profile: str, lateral: float, options: argparse.Namespace) -> dict:
     """A plan and its drives; failures are told with their place and speed."""
     car = load_vehicle(car_name)
@@ -46,7 +68,7 @@ def drive(road: Road, car_name: str, profile: str, lateral: float, options: argp
     if options.holds:
         from adaptrack.analysis.holdable import holdable_speed  # the checkout before has none
 
-        given["holds"] = holdable_speed(plant, mpc, profile)
+        given["holds"] = holdable_speed(car, mpc, profile, braked=options.braked)
     row = {"circuit": road.name, "car": car_name, "profile": profile, "lateral": lateral}
     try:
         plan = plan_speed(road, car, Comfort(lateral=lateral), **given)
@@ -116,7 +138,9 @@ def against(rows: list[dict], before: list[dict]) -> None:
 def main() -> None:
     """Drive them all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--made", type=int, default=0, metavar="N", help="so many made roads instead of a folder")
+    parser.add_argument("--braked", type=float, default=5.0, help="of `holdable_speed`")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--against", type=Path)
     parser.add_argument("--car", action="append")
@@ -127,9 +151,12 @@ def main() -> None:
     parser.add_argument("--domain", action="store_true", help="speeds end with the domain of the car")
     parser.add_argument("--holds", action=argparse.BooleanOptionalAction, default=True)
     options = parser.parse_args()
-    options.seed = options.seed or list(SEEDS)
-    files = sorted(options.folder.glob("*.csv"))
-    roads = [load_road(each) for each in files if not options.circuit or each.stem in options.circuit]
+    options.seed = options.seed or list(MADE_SEEDS if options.made else SEEDS)
+    if options.made:
+        roads = [made(seed) for seed in range(options.made)]
+    else:
+        files = sorted(options.folder.glob("*.csv")) if options.folder else []
+        roads = [load_road(each) for each in files if not options.circuit or each.stem in options.circuit]
     if not roads:
         parser.error(f"{options.folder}: no .csv files.")
     began, rows = time.process_time(), []
