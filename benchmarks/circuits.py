@@ -3,13 +3,13 @@
     python benchmarks/circuits.py FOLDER --out after.json [--against before.json]
     python benchmarks/circuits.py FOLDER --no-holds --out before.json
     python benchmarks/circuits.py FOLDER --domain [--no-holds]
-    python benchmarks/circuits.py --made 20 --braked 5
+    python benchmarks/circuits.py --made 20 --longest 10
 
 FOLDER holds centre lines as CSV files (`load_road`). Each is planned at 4 and at 7 m/s^2 sideways and driven once around
 with the informed controller, in `road` and `production`, three noise seeds, two cars. Speeds end at 100 m/s, for the
 roads have no limit and the domain of most cars' files ends at 27 m/s; with `--domain` they end with that. `--no-holds`
 leaves out what the controller can hold (`holdable_speed`). `--made` drives random rows of straights and bends instead:
-on those, with other seeds, `braked` was chosen, not on circuits. `--against` compares lap times, over the circuits on which
+on those, with other seeds, `longest` was chosen, not on circuits. `--against` compares lap times, over the circuits on which
 the other file has no failure.
 """
 
@@ -68,7 +68,7 @@ def drive(road: Road, car_name: str, profile: str, lateral: float, options: argp
     if options.holds:
         from adaptrack.analysis.holdable import holdable_speed  # the checkout before has none
 
-        given["holds"] = holdable_speed(car, mpc, profile, braked=options.braked)
+        given["holds"] = holdable_speed(car, mpc, profile, longest=options.longest)
     row = {"circuit": road.name, "car": car_name, "profile": profile, "lateral": lateral}
     try:
         plan = plan_speed(road, car, Comfort(lateral=lateral), **given)
@@ -140,7 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--made", type=int, default=0, metavar="N", help="so many made roads instead of a folder")
-    parser.add_argument("--braked", type=float, default=5.0, help="of `holdable_speed`")
+    parser.add_argument("--longest", type=float, default=10.0, help="of `holdable_speed`")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--against", type=Path)
     parser.add_argument("--car", action="append")

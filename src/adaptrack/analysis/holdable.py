@@ -8,12 +8,11 @@ its estimator with the gains that it has in such a turn, and the modulus margin 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from adaptrack.analysis.linearisation import EstimatorAt, Steady, laws, sampled_about
 from adaptrack.analysis.stability import modulus_margin
@@ -25,11 +24,12 @@ from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable import HoldableSpeed
-from adaptrack.road.segments import Array
 from adaptrack.scenario.profile import Profile, load_profile
 
-BRAKED, DISTURBED = 5.0, 0.5
-"""s and m/s^2: what a loop that is unstable for as long as braking lasts may make of a disturbance, see `borne`."""
+LONGEST = 10.0
+"""s, for which an instability counts at most: braking lasts until the speed is half."""
+DISTURBED = 1.0
+"""m/s^2, what a gust of 15 m/s from the side does to a saloon at 30 m/s: it must not grow beyond the grip meanwhile."""
 SLOWEST, RATIO = 10.0, 1.3
 """m/s, of the table, below which its values hold as well; and of one speed to the next."""
 FRICTIONS = (0.3, 0.6, 1.0)
@@ -44,7 +44,7 @@ _ANGLES = np.geomspace(2e-3, np.pi, 192)  # rad per period, at which the loop ga
 
 @checked
 def holdable_speed(
-    car: Vehicle, mpc: MPC, profile: str | Profile = "road", *, braked: Annotated[Positive, "s"] = BRAKED
+    car: Vehicle, mpc: MPC, profile: str | Profile = "road", *, longest: Annotated[Positive, "s"] = LONGEST
 ) -> HoldableSpeed:
     """Up to which braking, by speed, lateral acceleration and friction, the modulus margin of the loop is enough.
 
@@ -61,11 +61,11 @@ def holdable_speed(
         the steering is as slow as its prior allows, on a car whose steering is that.
     profile
         Sensors and steering of the true car; samples count as prompt, which is a little kinder than the truth.
-    braked
-        How long braking lasts; the longer, the less of an instability is borne.
+    longest
+        For which an instability counts at most; the longer, the less of it is borne.
     """
     loop = _slow_end(mpc, load_profile(profile)) if mpc.learner is not None else (mpc, load_profile(profile))
-    return _kept(car, _Loop(*loop), braked)
+    return _kept(car, _Loop(*loop), longest)
 
 
 class _Loop:
@@ -96,15 +96,13 @@ def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
 
 
 @lru_cache(maxsize=16)
-def _kept(car: Vehicle, loop: _Loop, braked: float) -> HoldableSpeed:
+def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     mpc, world = loop.mpc, loop.world.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
     plant = DualTrack(car)
     lowest = max(SLOWEST, mpc.speed_floor)
     count = max(2, math.ceil(math.log(max(top_speed(car) / lowest, RATIO)) / math.log(RATIO)) + 1)
     speeds = np.geomspace(lowest, max(top_speed(car), RATIO * lowest), count).round(2).tolist()
     cornering = [float(cornering_limit(car, [0.0], [mu])[0]) for mu in FRICTIONS]
-    left = np.outer(cornering, 1.0 - np.array(SIDEWAYS))
-    least = borne(left, braked, mpc.period)
     braking = np.empty((len(FRICTIONS), len(speeds), len(SIDEWAYS)))
     for j, speed in enumerate(speeds):
         at = EstimatorAt(mpc, speed)
@@ -112,9 +110,11 @@ def _kept(car: Vehicle, loop: _Loop, braked: float) -> HoldableSpeed:
             for k, share in enumerate(SIDEWAYS):
                 found = _margins(plant, (mpc, world), at, (speed, mu, share * cornering[i]))
                 # without a turn to look at, tighter than the wheels can turn or beyond the grip: no braking
-                braking[i, j, k] = min(braking[i, j, k - 1], 0.0) if found is None else _braking(found, least[i, k])
+                braking[i, j, k] = min(braking[i, j, k - 1], 0.0) if found is None else _braking(
+                    found, [borne(cornering[i] * (1.0 - share), speed, b * mu * GRAVITY, mpc.period, longest) for b in BRAKING]
+                )
     return HoldableSpeed(
-        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), braked=braked, speeds=tuple(speeds),
+        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest, speeds=tuple(speeds),
         sideways=SIDEWAYS, frictions=FRICTIONS, cornering=tuple(cornering),
         braking=tuple(tuple(map(tuple, plane)) for plane in braking.round(4).tolist()),
     )  # fmt: skip
@@ -143,26 +143,26 @@ def _margins(
     return map(margin, BRAKING)
 
 
-def _braking(margins: Iterator[float], least: float) -> float:
-    """Deceleration over mu g at which the margin falls below `least`; below 0 where it is less without braking."""
+def _braking(margins: Iterable[float], least: Sequence[float]) -> float:
+    """Deceleration over mu g at which the margin falls below the least; below 0 where it is less without braking."""
     before, found = 0.0, 0.0
-    for share, margin in zip(BRAKING, margins, strict=False):
-        if margin < least:
-            if share == 0.0:
-                return max(margin - least, BEYOND)
-            return before + (share - before) * (found - least) / (found - margin)
-        before, found = share, margin
+    for share, margin, bound in zip(BRAKING, margins, least, strict=True):
+        over = margin - bound
+        if over < 0.0:
+            return max(over, BEYOND) if share == 0.0 else before + (share - before) * found / (found - over)
+        before, found = share, over
     return BRAKING[-1]
 
 
-def borne(left: ArrayLike, braked: float, period: float) -> Array:
-    """Modulus margin of an unstable loop that makes of a disturbance, while braking lasts, what the tyres have left.
+def borne(left: float, speed: float, braking: float, period: float, longest: float = LONGEST) -> float:
+    """Modulus margin, 0 or less, of a loop in which `DISTURBED` grows to what the tyres have left while braking lasts.
 
-    With a spectral radius rho over a control period T, `DISTURBED` grows by rho^(t/T) in the time t; the margin of an
-    unstable loop is -10 (rho - 1), see `stability.modulus_margin`. left: m/s^2; braked: s; period: s.
+    With a spectral radius rho over a control period T a deviation grows by rho^(t/T) in the time t, here until the
+    speed is half; the margin of an unstable loop is -10 (rho - 1), see `stability.modulus_margin`. left, braking:
+    m/s^2; speed: m/s; period: s.
     """
-    growth = np.log(np.maximum(np.asarray(left, float) / DISTURBED, 1.0))
-    return -10.0 * np.expm1(growth * period / braked)
+    lasts = min(speed / (4.0 * braking), longest) if braking > 0.0 else longest
+    return -10.0 * math.expm1(math.log(max(left / DISTURBED, 1.0)) * period / lasts)
 
 
 def top_speed(car: Vehicle) -> float:

@@ -137,4 +137,4 @@ def _keep(given: TuneOptions, setting: on_roads.RoadSetting, found: Sought, seed
         controller=given.controller, vehicle=setting.car.name, profile=setting.profile.name,
         period=setting.profile.period, roads=tuple(str(drive.name) for drive in setting.runs.scenarios),
         noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
-    ).to_toml(given.out)  # fmt: skip
+    ).holding(setting.car, setting.profile).to_toml(given.out)  # fmt: skip

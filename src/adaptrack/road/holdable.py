@@ -32,7 +32,7 @@ class HoldableSpeed(Record):
     vehicle: str = Field(min_length=1, description="name of the car")
     profile: str = Field(min_length=1, description="name of the profile")
     steering: str = Field(default="", description="of the car, as it was analysed")
-    braked: float = Field(gt=0.0, description="s, for which a loop may be unstable, as braking lasts no longer")
+    longest: float = Field(gt=0.0, description="s, for which an instability counts at most, as braking ends")
     speeds: _Axis = Field(description="m/s")
     sideways: _Axis = Field(description="-, lateral acceleration that the tyres feel, over the largest of the car")
     frictions: _Axis = Field(description="-")
