@@ -110,8 +110,16 @@ def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
             for k, share in enumerate(SIDEWAYS):
                 found = _margins(plant, (mpc, world), at, (speed, mu, share * cornering[i]))
                 # without a turn to look at, tighter than the wheels can turn or beyond the grip: no braking
-                braking[i, j, k] = min(braking[i, j, k - 1], 0.0) if found is None else _braking(
-                    found, [borne(cornering[i] * (1.0 - share), speed, b * mu * GRAVITY, mpc.period, longest) for b in BRAKING]
+                braking[i, j, k] = (
+                    min(braking[i, j, k - 1], 0.0)
+                    if found is None
+                    else _braking(
+                        found,
+                        [
+                            borne(cornering[i] * (1.0 - share), speed, b * mu * GRAVITY, mpc.period, longest)
+                            for b in BRAKING
+                        ],
+                    )
                 )
     return HoldableSpeed(
         vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest, speeds=tuple(speeds),

@@ -135,7 +135,6 @@ class RoadOptions:
             plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, kept))
         return CheckedRoad(road, plan, check_road(road, car, plan))
 
-
     def _holds(self, car: Vehicle, profile: str | Profile, kept: HoldableSpeed | None) -> HoldableSpeed | None:
         """What the controller's margins hold, as far as the plan is to ask."""
         if self.margins is None or kept is not None:

@@ -37,7 +37,8 @@ SAMPLES = 4000
 
 SUMMARY = (Column("what", "what"), Column("value", "value"))
 LIMITS = (
-    Column("limit", "limit"), Column("share", "of the road", "%"), Column("from", "longest from", "m"), Column("to", "to", "m"),
+    Column("limit", "limit"), Column("share", "of the road", "%"), Column("from", "longest from", "m"),
+    Column("to", "to", "m"),
 )  # fmt: skip
 PLACES = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 

@@ -248,9 +248,7 @@ def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> Spee
     return _plan(s, np.full(s.shape, speed**2), (), road.closed, Comfort())
 
 
-def _impose_ends(
-    bounds: tuple[Array, NDArray[np.int8]], start: float | None, end: float | None
-) -> None:
+def _impose_ends(bounds: tuple[Array, NDArray[np.int8]], start: float | None, end: float | None) -> None:
     ceiling, named = bounds
     for name, value, place in (("start", start, 0), ("end", end, -1)):
         if value is None:
@@ -346,7 +344,7 @@ class _Cells:
         self.bounds[Limit.DOMAIN] = np.where(unlimited(self.limit), end**2, np.inf)
 
     def ceiling(self) -> tuple[Array, NDArray[np.int8]]:
-        """(n,) largest v^2 at each place, whatever comes before and after, and the places in `Limit` of what bounds it."""
+        """(n,) largest v^2 at each place, whatever comes before and after, and what bounds it, by its place in `Limit`."""
         stacked = np.stack(list(self.bounds.values()))
         named = np.array([_NUMBER[limit] for limit in self.bounds], np.int8)[stacked.argmin(axis=0)]
         w = np.concatenate([[np.inf], stacked.min(axis=0), [np.inf]])
