@@ -344,7 +344,7 @@ class _Cells:
         self.bounds[Limit.DOMAIN] = np.where(unlimited(self.limit), end**2, np.inf)
 
     def ceiling(self) -> tuple[Array, NDArray[np.int8]]:
-        """(n,) largest v^2 at each place, whatever comes before and after, and what bounds it, by its place in `Limit`."""
+        """(n,) largest v^2 at each place, whatever comes before and after, and what bounds it: its place in `Limit`."""
         stacked = np.stack(list(self.bounds.values()))
         named = np.array([_NUMBER[limit] for limit in self.bounds], np.int8)[stacked.argmin(axis=0)]
         w = np.concatenate([[np.inf], stacked.min(axis=0), [np.inf]])
