@@ -89,11 +89,17 @@ def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(
     assert (slow.deceleration(at, 0.0, 0.9) <= known.deceleration(at, 0.0, 0.9) + 1e-9).all()
 
 
-def test_an_instability_is_borne_while_it_makes_no_more_of_a_disturbance_than_the_tyres_have_left():
-    assert borne(1.0, 30.0, 3.0, 0.05) == 0.0  # nothing left beyond the disturbance
-    radius = 1.0 - borne(9.0, 30.0, 3.0, 0.05) / 10.0
-    assert radius ** (30.0 / (4.0 * 3.0) / 0.05) == pytest.approx(9.0 / holdable.DISTURBED, rel=1e-9)
-    assert borne(9.0, 30.0, 1.0, 0.05) > borne(9.0, 30.0, 3.0, 0.05)  # it lasts longer
+def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
+    assert borne(1.0, 3.0, 0.05) == borne(0.5, 3.0, 0.05) == 0.0
+    radius = 1.0 - borne(9.0, 3.0, 0.05) / 10.0
+    assert radius ** (3.0 / 0.05) == pytest.approx(9.0, rel=1e-9)
+    assert borne(9.0, 6.0, 0.05) > borne(9.0, 3.0, 0.05)  # it lasts longer
+
+
+def test_a_bend_leaves_the_reserve_of_what_the_car_corners_with():
+    held = TABLE.replace(reserve=1.5)
+    assert float(held.deceleration(20.0, 7.5, 1.0)) == pytest.approx(0.0, abs=1e-9)
+    assert float(held.deceleration(20.0, 7.0, 1.0)) > 0.0 > float(held.deceleration(20.0, 7.6, 1.0))
 
 
 def test_a_tuning_keeps_what_it_holds(coarse, tmp_path):

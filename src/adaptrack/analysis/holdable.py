@@ -28,8 +28,9 @@ from adaptrack.scenario.profile import Profile, load_profile
 
 LONGEST = 10.0
 """s, for which an instability counts at most: braking lasts until the speed is half."""
-DISTURBED = 1.0
-"""m/s^2, what a gust of 15 m/s from the side does to a saloon at 30 m/s: it must not grow beyond the grip meanwhile."""
+DISTURBED, UNMODELLED = 1.0, 0.25
+"""m/s^2, what a gust of 15 m/s from the side does to a saloon at 30 m/s; and which share of the lateral acceleration of
+a bend the model misses: together the deviation that must not grow beyond the grip meanwhile."""
 SLOWEST, RATIO = 10.0, 1.3
 """m/s, of the table, below which its values hold as well; and of one speed to the next."""
 FRICTIONS = (0.3, 0.6, 1.0)
@@ -107,22 +108,19 @@ def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     for j, speed in enumerate(speeds):
         at = EstimatorAt(mpc, speed)
         for i, mu in enumerate(FRICTIONS):
+            lasting = [_lasting(speed, share * mu * GRAVITY, longest) for share in BRAKING]
             for k, share in enumerate(SIDEWAYS):
-                found = _margins(plant, (mpc, world), at, (speed, mu, share * cornering[i]))
-                # without a turn to look at, tighter than the wheels can turn or beyond the grip: no braking
-                braking[i, j, k] = (
-                    min(braking[i, j, k - 1], 0.0)
-                    if found is None
-                    else _braking(
-                        found,
-                        [
-                            borne(cornering[i] * (1.0 - share), speed, b * mu * GRAVITY, mpc.period, longest)
-                            for b in BRAKING
-                        ],
-                    )
-                )
+                lateral = share * cornering[i]
+                found = _margins(plant, (mpc, world), at, (speed, mu, lateral))
+                if (
+                    found is None
+                ):  # tighter than the wheels can turn, or beyond the grip: nothing to look at, no braking
+                    braking[i, j, k] = min(braking[i, j, k - 1], 0.0)
+                    continue
+                room = (cornering[i] - lateral) / (DISTURBED + UNMODELLED * lateral)
+                braking[i, j, k] = _braking(found, [borne(room, time, mpc.period) for time in lasting])
     return HoldableSpeed(
-        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest, speeds=tuple(speeds),
+        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest, reserve=DISTURBED, speeds=tuple(speeds),
         sideways=SIDEWAYS, frictions=FRICTIONS, cornering=tuple(cornering),
         braking=tuple(tuple(map(tuple, plane)) for plane in braking.round(4).tolist()),
     )  # fmt: skip
@@ -162,15 +160,18 @@ def _braking(margins: Iterable[float], least: Sequence[float]) -> float:
     return BRAKING[-1]
 
 
-def borne(left: float, speed: float, braking: float, period: float, longest: float = LONGEST) -> float:
-    """Modulus margin, 0 or less, of a loop in which `DISTURBED` grows to what the tyres have left while braking lasts.
+def _lasting(speed: float, braking: float, longest: float) -> float:
+    """How long (s) the instability of braking (m/s^2) counts: it falls with the speed (m/s), to nothing at the half."""
+    return min(0.25 * speed / braking, longest) if braking > 0.0 else longest
 
-    With a spectral radius rho over a control period T a deviation grows by rho^(t/T) in the time t, here until the
-    speed is half; the margin of an unstable loop is -10 (rho - 1), see `stability.modulus_margin`. left, braking:
-    m/s^2; speed: m/s; period: s.
+
+def borne(room: float, time: float, period: float) -> float:
+    """Modulus margin, 0 or less, of a loop in which deviations grow by a factor of `room` in a time (s).
+
+    With a spectral radius rho over a control period T (s) they grow by rho^(t/T); the margin of an unstable loop is
+    -10 (rho - 1), see `stability.modulus_margin`.
     """
-    lasts = min(speed / (4.0 * braking), longest) if braking > 0.0 else longest
-    return -10.0 * math.expm1(math.log(max(left / DISTURBED, 1.0)) * period / lasts)
+    return -10.0 * math.expm1(math.log(max(room, 1.0)) * period / time)
 
 
 def top_speed(car: Vehicle) -> float:

@@ -20,6 +20,8 @@ _Row = Annotated[tuple[float, ...], LISTED]
 _Plane = Annotated[tuple[_Row, ...], LISTED]
 SPEEDS = 96
 """Speeds at which a bend is looked at."""
+STEEP = 3.0
+"""By which braking falls with the lateral acceleration where the reserve of the cornering begins."""
 
 
 class HoldableSpeed(Record):
@@ -32,6 +34,7 @@ class HoldableSpeed(Record):
     vehicle: str = Field(min_length=1, description="name of the car")
     profile: str = Field(min_length=1, description="name of the profile")
     steering: str = Field(default="", description="of the car, as it was analysed")
+    reserve: float = Field(default=0.0, ge=0.0, description="m/s^2, that a bend leaves of the cornering at least")
     longest: float = Field(gt=0.0, description="s, for which an instability counts at most, as braking ends")
     speeds: _Axis = Field(description="m/s")
     sideways: _Axis = Field(description="-, lateral acceleration that the tyres feel, over the largest of the car")
@@ -75,7 +78,7 @@ class HoldableSpeed(Record):
             for dj, wj in ((0, 1.0 - q), (1, q)):
                 for dk, wk in ((0, 1.0 - r), (1, r)):
                     found += wi * wj * wk * self._table[i + di, j + dj, k + dk]
-        return found * mu * GRAVITY
+        return np.minimum(found * mu * GRAVITY, STEEP * (most - self.reserve - a))
 
     def along(self, curvature: ArrayLike, bank: ArrayLike, friction: ArrayLike) -> tuple[Array, Array]:
         """Squared speeds (m,), and at each of them the deceleration (n, m) that is held at n places.
