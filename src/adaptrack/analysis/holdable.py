@@ -112,17 +112,15 @@ def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
             for k, share in enumerate(SIDEWAYS):
                 lateral = share * cornering[i]
                 found = _margins(plant, (mpc, world), at, (speed, mu, lateral))
-                if (
-                    found is None
-                ):  # tighter than the wheels can turn, or beyond the grip: nothing to look at, no braking
+                if found is None:  # tighter than the wheels can turn, or beyond the grip: no braking
                     braking[i, j, k] = min(braking[i, j, k - 1], 0.0)
                     continue
                 room = (cornering[i] - lateral) / (DISTURBED + UNMODELLED * lateral)
                 braking[i, j, k] = _braking(found, [borne(room, time, mpc.period) for time in lasting])
     return HoldableSpeed(
-        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest, reserve=DISTURBED, speeds=tuple(speeds),
-        sideways=SIDEWAYS, frictions=FRICTIONS, cornering=tuple(cornering),
-        braking=tuple(tuple(map(tuple, plane)) for plane in braking.round(4).tolist()),
+        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest,
+        reserve=DISTURBED, speeds=tuple(speeds), sideways=SIDEWAYS, frictions=FRICTIONS,
+        cornering=tuple(cornering), braking=tuple(tuple(map(tuple, plane)) for plane in braking.round(4).tolist()),
     )  # fmt: skip
 
 

@@ -430,8 +430,6 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
     included, is analysed as it runs. Numbers that do not move with the measurements (gains, covariances), or that move
     no command, are left out.
     """
-    if mpc.estimator.function is None:
-        return _increments(mpc.model)
     return EstimatorAt(mpc, speed).straight
 
 
@@ -440,7 +438,11 @@ class EstimatorAt:
 
     def __init__(self, mpc: MPC, speed: float) -> None:
         self.model, self._own = mpc.model, mpc.estimator
-        self._speed, self._parameters = max(speed, mpc.speed_floor), self._own.parameters(self.model)
+        self._speed = max(speed, mpc.speed_floor)
+        self._is_deadbeat = self._own.function is None
+        if self._is_deadbeat:
+            return
+        self._parameters = self._own.parameters(self.model)
         self._a, self._b, _ = self.model.discrete(self._speed)
         self._memory, self._sensors = self._own.memory_size(self.model), len(sensed())
         self._x, self._d = np.zeros(self.model.n), np.zeros(self.model.n)
@@ -459,7 +461,7 @@ class EstimatorAt:
     @cached_property
     def straight(self) -> LinearEstimator:
         """Driving straight."""
-        return self._straight[0]
+        return _increments(self.model) if self._is_deadbeat else self._straight[0]
 
     @cached_property
     def _straight(self) -> tuple[LinearEstimator, list[int]]:
@@ -493,6 +495,8 @@ class EstimatorAt:
         measured: (9,), see `Steady.measured`; command: rad. Gains count as constant: they follow the size of the
         tyres' forces, more slowly than the loop moves.
         """
+        if self._is_deadbeat:
+            return self.straight
         places, memory = self._straight[1], np.zeros(self._memory)
         swing = np.zeros_like(measured)
         swing[: self._sensors - 2] = _SWING
