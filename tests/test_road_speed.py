@@ -209,7 +209,7 @@ def test_where_a_road_has_no_limit_the_domain_of_the_car_is_and_that_is_said(non
     (found,) = check_road(road, CAR, plan)
     assert (found.kind, found.drivable, found.value) == ("domain", True, top)
     assert "no speed limit" in found.text
-    assert plan_speed(road, None).speed.max() == pytest.approx(100.0)  # no car, no domain
+    assert plan_speed(road, None).speed.max() == pytest.approx(27.0)  # no car: the usual domain
     fast = plan_speed(road, CAR, top_speed=40.0)
     for beyond in (fast, plan_speed(road.replace(speed_limit=40.0), CAR), 40.0):  # asked for, or the road's
         (found,) = check_road(road, CAR, beyond)
@@ -295,6 +295,12 @@ def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(com
     assert found["drivable"] is False
     assert {"grip"} == {row["kind"] for row in found["rows"]}
     assert found["fastest"] == 25.0
+    assert found["limits"]["stretches"] == []  # nothing bounds a speed that is given
+    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--json")
+    found = json.loads(out)
+    assert found["limits"]["stretches"][-1]["end"] == found["length"]
+    assert sum(found["limits"]["shares"].values()) == pytest.approx(1.0)
+    assert "speed limit" in found["limits"]["shares"]
 
 
 def test_check_reads_a_file_and_says_how_near_its_road_comes(command, tmp_path):

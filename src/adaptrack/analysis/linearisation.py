@@ -7,8 +7,10 @@ the loop of both. The plant is linearised about driving straight, or about a ste
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -36,15 +38,20 @@ _SETTLED, _LONGEST = 1e-12, 20_000  # of an estimator's memory: largest relative
 _SETTLING = 20  # steps between two looks at whether it has
 _DITHER = 1e-30  # of what is measured while it settles: a sensor that always reads the same may count as stuck
 _NOTHING = 1e-12  # a derivative that is no more than the trace of that
+_TURNING = 8.0  # s, of a steady turn, after which the gains of an estimator are those of it
+_SWING = 1e-9  # as `_DITHER`, of samples that are not zero
 
 
 # -- the plant --------------------------------------------------------------------------------------------------------
-def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, friction: float = 0.9) -> tuple[Array, float]:
+def steady_turn(
+    plant: Plant, speed: float, lateral_acceleration: float, friction: float = 0.9, deceleration: float = 0.0
+) -> tuple[Array, float]:
     """State (n,) and front-wheel angle (rad) of a steady turn to the left at `speed` (m/s), without wind.
 
     lateral_acceleration: m/s^2, speed times yaw rate. The velocity points along X. Newton's method on the derivatives
     of all states but X, Y, yaw and v_x, the acceleration raised from zero in steps of at most 1 m/s^2; speed and
-    longitudinal load transfer are held as they are in straight driving.
+    longitudinal load transfer are held: as in straight driving, or, with a `deceleration` (m/s^2), as they are for a
+    moment in braking, the tyres pulling along the road as well.
 
     Raises
     ------
@@ -58,11 +65,14 @@ def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, frictio
     free = [i for i, name in enumerate(names) if name not in (*_HELD, "Y", "psi")]
     yaw_rate, road = names.index("yaw_rate"), _road(friction)
     x = np.array(plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0]), dtype=np.float64)
+    force = _braking_force(plant, deceleration)
+    if deceleration != 0.0 and "felt_ax" in names:
+        x[names.index("felt_ax")] = -deceleration
 
     def residual(values: Array, wanted: float) -> Array:
         state = x.copy()
         state[free] = values[:-1]
-        slope = plant.derivative(state, [values[-1], 0.0], road)[free]
+        slope = plant.derivative(state, [values[-1], force], road)[free]
         return np.append(slope, state[yaw_rate] * speed - wanted)
 
     unknown, reached = _raised(residual, np.append(x[free], 0.0), acceleration)
@@ -74,6 +84,15 @@ def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, frictio
     x[free] = unknown[:-1]
     x[names.index("psi")] = -np.arctan2(x[names.index("vy")], x[names.index("vx")])
     return x, float(unknown[-1])
+
+
+def _braking_force(plant: Plant, deceleration: float) -> float:
+    """N, at the wheels, air and rolling left out."""
+    if deceleration == 0.0:
+        return 0.0
+    if not isinstance(plant, SingleTrack | DualTrack):
+        raise InvalidInput(f"Plant {plant.name!r}: its mass is not known, so no braking: analyse the car's twin.")
+    return -plant.vehicle.mass * real("steady_turn", "deceleration", deceleration)
 
 
 def _raised(residual: Callable[[Array, float], Array], unknown: Array, acceleration: float) -> tuple[Array, float]:
@@ -111,7 +130,7 @@ def _newton(residual: Callable[[Array, float], Array], x: Array, wanted: float) 
 
 
 def linearised(
-    plant: Plant, speed: float, friction: float = 0.9, lateral_acceleration: float = 0.0
+    plant: Plant, speed: float, friction: float = 0.9, lateral_acceleration: float = 0.0, deceleration: float = 0.0
 ) -> tuple[list[str], Array, Array]:
     """State names, A (n, n) and B (n,) of the plant about steady driving at `speed` (m/s) on `friction`.
 
@@ -124,12 +143,45 @@ def linearised(
     InvalidInput
         When there is no such turn, or the derivatives jump there: a difference over four times the step is another.
     """
-    x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
-    road = _road(friction)
+    return _linearised_at(plant, Steady.of(plant, speed, friction, lateral_acceleration, deceleration))
+
+
+class Steady(NamedTuple):
+    """A steady turn of a plant, or driving straight."""
+
+    speed: float
+    """m/s"""
+    friction: float
+    deceleration: float
+    """m/s^2, of a moment of braking"""
+    state: Array
+    steering: float
+    """rad, front-wheel angle"""
+
+    @classmethod
+    def of(
+        cls, plant: Plant, speed: float, friction: float, lateral_acceleration: float, deceleration: float = 0.0
+    ) -> Steady:
+        """See `steady_turn`."""
+        found = steady_turn(plant, speed, lateral_acceleration, friction, deceleration)
+        return cls(speed, friction, deceleration, *found)
+
+    def measured(self, plant: Plant, period: float) -> Array:
+        """(9,) what the sensors give in it, the turn of the path included, see `core.models.contract.MEASURED`."""
+        seen = dict(zip(plant.state_names, self.state.tolist(), strict=True))
+        yaw_rate = seen["yaw_rate"]
+        known = {name: seen[name] for name in ("vy", "yaw_rate")} | {"yaw": seen["psi"], "wheel_angle": self.steering}
+        known |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
+        return np.array([known.get(name, 0.0) for name in contract.MEASURED._fields])
+
+
+def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]:
+    x, steering = turn.state, turn.steering
+    road, force = _road(turn.friction), _braking_force(plant, turn.deceleration)
     keep = [i for i, name in enumerate(plant.state_names) if name not in _HELD]
 
     def slope(state: Array, angle: float) -> Array:
-        return plant.derivative(state, [angle, 0.0], road)[keep]
+        return plant.derivative(state, [angle, force], road)[keep]
 
     def matrix(step: float) -> Array:
         moved = step * np.eye(len(x))[keep]
@@ -179,7 +231,13 @@ def sampled(
     InvalidInput
         When a command would act before it is given, and as `steady_turn`.
     """
-    world = load_profile(profile)
+    return sampled_about(
+        plant, period, Steady.of(plant, speed, friction, lateral_acceleration), load_profile(profile), delay
+    )
+
+
+def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, delay: float = 0.0) -> Sampled:
+    """`sampled` about a steady turn that is known."""
     if max(world.pose_age, world.motion_age) > 0.0:
         raise InvalidInput(
             f"profile {world.name!r}: its samples are late, and the linear loop takes them as prompt: analyse it with "
@@ -190,7 +248,7 @@ def sampled(
     if not -1e-9 < late < np.inf:
         raise InvalidInput(f"delay = {delay!r} s: a command would act {-late:g} periods before it is given.")
     lag = steering.lag
-    names, a, b = linearised(plant, speed, friction, lateral_acceleration)
+    names, a, b = _linearised_at(plant, turn)
     flow = _with_lag(a, b, lag)
     step = _held(flow, period, max(late, 0.0))
     size = len(step)
@@ -200,7 +258,7 @@ def sampled(
         outputs[sensed().index("wheel_angle"), len(b)] = 1.0
     felt = outputs[sensed().index("lateral_acceleration")]
     felt[: len(flow) - 1] = flow[names.index("vy"), :-1]
-    felt[names.index("yaw_rate")] += speed
+    felt[names.index("yaw_rate")] += turn.speed
     if lag == 0.0 and size >= len(flow):
         felt[size - 1] += flow[names.index("vy"), -1]  # the command that acts
     return Sampled(step[:, :size], step[:, size], outputs)
@@ -372,39 +430,89 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
     included, is analysed as it runs. Numbers that do not move with the measurements (gains, covariances), or that move
     no command, are left out.
     """
-    model, own = mpc.model, mpc.estimator
-    if own.function is None:
-        return _increments(model)
-    forward, parameters = max(speed, mpc.speed_floor), own.parameters(model)
-    a, b, _ = model.discrete(forward)
-    sensors, memory = len(sensed()), own.memory_size(model)
-    x, d = np.zeros(model.n), np.zeros(model.n)
+    return EstimatorAt(mpc, speed).straight
 
-    def step(given: Array) -> Array:
+
+class EstimatorAt:
+    """The compiled estimator of an MPC at one speed (m/s), as `linear_estimator` analyses it."""
+
+    def __init__(self, mpc: MPC, speed: float) -> None:
+        self.model, self._own = mpc.model, mpc.estimator
+        self._speed = max(speed, mpc.speed_floor)
+        self._is_deadbeat = self._own.function is None
+        if self._is_deadbeat:
+            return
+        self._parameters = self._own.parameters(self.model)
+        self._a, self._b, _ = self.model.discrete(self._speed)
+        self._memory, self._sensors = self._own.memory_size(self.model), len(sensed())
+        self._x, self._d = np.zeros(self.model.n), np.zeros(self.model.n)
+
+    def _step(self, measured: Array, command: float, memory: Array) -> None:
+        self._own.function(
+            self._speed, measured, command, self._a, self._b[:, 0], self._parameters, memory, self._x, self._d
+        )
+
+    def _answer(self, turned: float, given: Array) -> Array:
         """[memory, xi] after a step from [memory, measured, command]."""
-        after, measured, command = given[:memory].copy(), np.append(given[memory:-1], 0.0), float(given[-1])
-        own.function(forward, measured, command, a, b[:, 0], parameters, after, x, d)
-        return np.concatenate([after, a @ x + b[:, 0] * command + d - x, x[-1:]])
+        after, command = given[: self._memory].copy(), float(given[-1])
+        self._step(np.append(given[self._memory : -1], turned), command, after)
+        return np.concatenate([after, self._a @ self._x + self._b[:, 0] * command + self._d - self._x, self._x[-1:]])
 
-    rest = np.zeros(memory + sensors + 1)
-    function, remembered = own.function, rest[:memory]
-    swing, back = np.zeros(sensors + 1), np.zeros(sensors + 1)
-    swing[: sensors - 2], back[: sensors - 2] = -_DITHER, _DITHER
-    before, change = remembered.copy(), np.full(memory, np.inf)
-    for k in range(_LONGEST):
-        function(forward, back if k % 2 else swing, 0.0, a, b[:, 0], parameters, remembered, x, d)
-        if k % _SETTLING == 0:
-            earlier, change = change, remembered - before  # a counter changes, but always alike
-            if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
-                break
-            before = remembered.copy()
-    found = _differences(step, rest, memory)
-    moved = [i for i in found if i < memory]
-    moves = np.array([found[i] for i in moved]).reshape(len(moved), memory + model.n + 1)
-    matter = _that_matter(moves, moved, memory)
-    inputs = [*matter, *range(memory, memory + sensors + 1)]
-    rows = np.array([found[i] for i in inputs]).T[[*matter, *range(memory, memory + model.n + 1)]]
-    return _with_last_command(rows, len(matter))
+    @cached_property
+    def straight(self) -> LinearEstimator:
+        """Driving straight."""
+        return _increments(self.model) if self._is_deadbeat else self._straight[0]
+
+    @cached_property
+    def _straight(self) -> tuple[LinearEstimator, list[int]]:
+        rest = np.zeros(self._memory + self._sensors + 1)
+        remembered = rest[: self._memory]
+        swing, back = np.zeros(self._sensors + 1), np.zeros(self._sensors + 1)
+        swing[: self._sensors - 2], back[: self._sensors - 2] = -_DITHER, _DITHER
+        before, change = remembered.copy(), np.full(self._memory, np.inf)
+        for k in range(_LONGEST):
+            self._step(back if k % 2 else swing, 0.0, remembered)
+            if k % _SETTLING == 0:
+                earlier, change = change, remembered - before  # a counter changes, but always alike
+                if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
+                    break
+                before = remembered.copy()
+        found = _differences(partial(self._answer, 0.0), rest, self._memory)
+        moved = [i for i in found if i < self._memory]
+        moves = np.array([found[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
+        matter = _that_matter(moves, moved, self._memory)
+        return self._of_changes(found, matter), matter
+
+    def _of_changes(self, found: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
+        memory, n = self._memory, self.model.n
+        inputs = [*matter, *range(memory, memory + self._sensors + 1)]
+        rows = np.array([found[i] for i in inputs]).T[[*matter, *range(memory, memory + n + 1)]]
+        return _with_last_command(rows, len(matter))
+
+    def in_turn(self, measured: Array, command: float) -> LinearEstimator:
+        """After some time in a steady turn: of the same numbers, with the gains that the estimator then has.
+
+        measured: (9,), see `Steady.measured`; command: rad. Gains count as constant: they follow the size of the
+        tyres' forces, more slowly than the loop moves.
+        """
+        if self._is_deadbeat:
+            return self.straight
+        places, memory = self._straight[1], np.zeros(self._memory)
+        swing = np.zeros_like(measured)
+        swing[: self._sensors - 2] = _SWING
+        for k in range(math.ceil(_TURNING / self.model.period)):
+            self._step(measured + (swing if k % 2 else -swing), command, memory)
+        rest = np.concatenate([memory, measured[:-1], [command]])
+        settled = self._answer(measured[-1], rest)
+        found = {}
+        for place in (*places, *range(self._memory, rest.size)):
+            given = rest.copy()
+            given[place] += _STEP
+            found[place] = (self._answer(measured[-1], given) - settled) / _STEP
+        ages = slice(self._memory + self._sensors - 2, self._memory + self._sensors)
+        for place in range(ages.start, ages.stop):
+            found[place] = np.zeros_like(settled)  # how old a sample is does not change
+        return self._of_changes(found, places)
 
 
 def _within(values: Array, most: float) -> bool:

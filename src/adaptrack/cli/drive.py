@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from adaptrack.control.controllers import Controller
     from adaptrack.control.models import PredictionModel
     from adaptrack.drive.trajectory import Trajectory
+    from adaptrack.road.holdable import HoldableSpeed
     from adaptrack.scenario import RoadDrive
 
 SLOWER = 0.7
@@ -85,14 +86,15 @@ def drive(given: DriveOptions) -> None:
     from adaptrack.base.files import safe_names
     from adaptrack.drive.simulate import simulate
     from adaptrack.drive.world import Driver
+    from adaptrack.results.road import limits_in_words
     from adaptrack.scenario import RoadDrive
     from adaptrack.scenario.profile import load_profile
 
     how, as_json = given.drive, given.drive.as_json
     car, plant = given.car.load()
     how.make_places()
-    checked = given.route.look(given.road, car)
     world = load_profile(given.profile)
+    checked = given.route.look(given.road, car, world, _kept(given))
     route = RoadDrive(checked.road, checked.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
     settings = ControllerSettings(
         car, world, world.period if how.period is None else how.period, preview=True, learning=learning_of(how)
@@ -117,6 +119,8 @@ def drive(given: DriveOptions) -> None:
     rows = [run.row for run in runs]
     failed = any(row["failed"] for row in rows)
     _print(route, rows, as_json)
+    if not as_json and (words := limits_in_words(route.plan)):
+        show.say(words)
     for label, each in controllers:
         tell_belief(label, each, plant, world, as_json)
         tell_learned(label, each, as_json)
@@ -156,6 +160,13 @@ def _next_step(given: DriveOptions, rows: Sequence[dict[str, Any]], drivable: bo
     best = min(rows, key=lambda row: row["mse"])["controller"]
     sought = ("--profile", given.profile, "--controller", best, "--out", "tuning.toml")
     return f"to seek a tuning of {best} for this road", command("tune", given.road, *here, *sought)
+
+
+def _kept(given: DriveOptions) -> HoldableSpeed | None:
+    """What the first tuning's file says of the speeds that it holds."""
+    from adaptrack.tuning.constant_file import load_tuning
+
+    return next((load_tuning(file).holds for file in given.tuning or []), None)
 
 
 def tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
@@ -227,6 +238,7 @@ class _Run:
 def _print(route: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     from adaptrack.results.answers import length, of_drives
     from adaptrack.results.drive import console_table
+    from adaptrack.results.road import limits_record
 
     for row in rows:
         if row["failed"]:
@@ -236,7 +248,7 @@ def _print(route: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> N
                 aside=as_json,
             )
     if as_json:
-        show.say_json({"rows": rows})
+        show.say_json({"rows": rows, "limits": limits_record(route.plan)})
     else:
         if not all(row["failed"] for row in rows):
             show.say(of_drives(rows, length(route.length)))

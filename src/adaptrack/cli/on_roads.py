@@ -90,7 +90,7 @@ class RoadSetting:
         with show.progress("plan the speeds", len(pairs)) as advance:
             for each, name in pairs:
                 advance(f"plan the speed, {name}", 0, 1)
-                planned = each.look(name, vehicle)
+                planned = each.look(name, vehicle, world)
                 planned.warn(aside)
                 drives.append(RoadDrive(planned.road, planned.plan))
                 advance(f"plan the speed, {name}", 1, 1)

@@ -16,6 +16,8 @@ from adaptrack.cli.next_step import command, instead, next_line, say_next
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.road import Finding, Road, SpeedPlan
+    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -70,6 +72,14 @@ class RoadOptions:
         None
     )
 
+    margins: Annotated[
+        bool | None,
+        Option(
+            "--margins/--no-margins",
+            help="Plan no faster than the controller's stability margins hold; by default where a tuning's file says.",
+        ),
+    ] = None
+
     @property
     def named(self) -> list[str]:
         """The options that are given, as one types them."""
@@ -82,7 +92,8 @@ class RoadOptions:
         for name, value in vars(self).items():
             flag = "--road" if name == "road_id" else f"--{name.replace('_', '-')}"
             if isinstance(value, bool):
-                found.append("--closed" if value else "--open")
+                flag = flag if value or name != "closed" else "--open"
+                found.append(flag if value or name == "closed" else f"--no-{name}")
             elif value is not None:
                 for each in value if isinstance(value, list) else [value]:
                     found += [flag, str(each)]
@@ -93,8 +104,12 @@ class RoadOptions:
         """The same for one seed of a generated road at a time."""
         return [replace(self, road_seed=[seed]) for seed in dict.fromkeys(self.road_seed or ())] or [self]
 
-    def look(self, name: str, car: Vehicle) -> CheckedRoad:
+    def look(
+        self, name: str, car: Vehicle, profile: str | Profile = "road", kept: HoldableSpeed | None = None
+    ) -> CheckedRoad:
         """Load a road by its name, plan the speed along it for a car, and check both.
+
+        profile: in which the informed controller's margins are looked at, where that is requested; kept: of a tuning.
 
         Raises
         ------
@@ -114,8 +129,23 @@ class RoadOptions:
         }  # fmt: skip
         road = load_road(name, **{key: value for key, value in known.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
-        plan = plan_speed(road, car, comfort) if self.speed is None else constant_speed(road, self.speed)
+        if self.speed is not None:
+            plan = constant_speed(road, self.speed)
+        else:
+            plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, kept))
         return CheckedRoad(road, plan, check_road(road, car, plan))
+
+    def _holds(self, car: Vehicle, profile: str | Profile, kept: HoldableSpeed | None) -> HoldableSpeed | None:
+        """What the controller's margins hold, as far as the plan is to ask."""
+        if self.margins is None or kept is not None:
+            return None if self.margins is False else kept
+        if not self.margins:
+            return None
+        from adaptrack.analysis.holdable import holdable_speed
+        from adaptrack.control.controllers import MPC
+
+        with show.progress("margins of the controller"):
+            return holdable_speed(car, MPC(car, profile=profile), profile)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -143,4 +143,4 @@ def _keep(
         controller=given.controller, belief=own.belief_at_first, vehicle=setting.car.name, profile=setting.profile.name,
         period=setting.profile.period, roads=tuple(str(drive.name) for drive in setting.runs.scenarios),
         noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
-    ).to_toml(given.out)  # fmt: skip
+    ).holding(setting.car, setting.profile).to_toml(given.out)  # fmt: skip

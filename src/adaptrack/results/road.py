@@ -36,6 +36,10 @@ SAMPLES = 4000
 """Points of the drawn line."""
 
 SUMMARY = (Column("what", "what"), Column("value", "value"))
+LIMITS = (
+    Column("limit", "limit"), Column("share", "of the road", "%"), Column("from", "longest from", "m"),
+    Column("to", "to", "m"),
+)  # fmt: skip
 PLACES = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 
 
@@ -45,6 +49,7 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
     summary = _summary(road, plan)
     about = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
     tables = [ResultTable("summary", road.name, SUMMARY, about, brief=True)]
+    tables.append(ResultTable("limits", "What bounds the speed", LIMITS, _longest(plan), brief=True))
     for name, title, drivable in (("barred", "What cannot be driven", False), ("notes", "Notes", True)):
         places = [
             {"from": each.start, "to": each.end, "what": each.text} for each in findings if each.drivable is drivable
@@ -55,13 +60,37 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
         title=road.name,
         answer=of_road(summary, len(barred)),
         record={
-            **summary, "drivable": not barred, "notes": list(road.notes), "rows": [asdict(each) for each in findings]
+            **summary, "drivable": not barred, "notes": list(road.notes), "limits": limits_record(plan),
+            "rows": [asdict(each) for each in findings],
         },
         tables=tables,
         notes=road.notes,
         pictures=[road_picture(road, plan, findings)],
         failed=bool(barred),
     )  # fmt: skip
+
+
+def limits_record(plan: SpeedPlan) -> dict[str, Any]:
+    """What bounds a planned speed: shares of the road, and the stretches from the start to the end; for JSON."""
+    return {
+        "shares": {limit.value: share for limit, share in plan.shares.items()},
+        "stretches": [{"limit": each.limit.value, "start": each.start, "end": each.end} for each in plan.stretches],
+    }
+
+
+def _longest(plan: SpeedPlan) -> list[dict[str, Any]]:
+    """The share of each limit, and its longest stretch."""
+    rows = []
+    for limit, share in plan.shares.items():
+        longest = max((each for each in plan.stretches if each.limit == limit), key=lambda each: each.end - each.start)
+        rows.append({"limit": limit.value, "share": round(100.0 * share, 1), "from": longest.start, "to": longest.end})
+    return rows
+
+
+def limits_in_words(plan: SpeedPlan) -> str:
+    """Which limits bind on which share of the road; empty where the speed was not planned."""
+    named = ", ".join(f"{limit} on {share:.0%}" for limit, share in plan.shares.items() if share >= 0.005)
+    return f"The speed is bounded by {named} of the road." if named else ""
 
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from typing import Annotated, NamedTuple
 
@@ -29,8 +30,10 @@ from adaptrack.base.checked import Finite, NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
 from adaptrack.base.limits import SPEED
+from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit
+from adaptrack.road.holdable import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
@@ -59,6 +62,38 @@ USUAL = Comfort()
 """As most are driven."""
 
 
+class Limit(StrEnum):
+    """What bounds a planned speed at a place."""
+
+    LATERAL = "lateral comfort"
+    GRIP = "grip"
+    CURVATURE_RATE = "curvature rate"
+    SPEED_LIMIT = "speed limit"
+    DOMAIN = "domain of the car"
+    TOP_SPEED = "top speed"
+    MARGINS = "margins of the controller"
+    ENDS = "stop or end"
+    ACCELERATE = "comfort in accelerating"
+    POWER = "power"
+    BRAKE = "comfort in braking"
+    BRAKES = "brakes"
+    JERK = "jerk"
+
+
+_LIMITS = tuple(Limit)
+_NUMBER = {limit: i for i, limit in enumerate(_LIMITS)}
+
+
+class Stretch(NamedTuple):
+    """A part of a road on which one limit binds."""
+
+    limit: Limit
+    start: float
+    """m"""
+    end: float
+    """m"""
+
+
 class Stop(NamedTuple):
     """A place to stop at."""
 
@@ -82,6 +117,28 @@ class SpeedPlan:
     """s, in all; of a lap on a closed road"""
     closed: bool
     comfort: Comfort
+    binding: NDArray[np.int8] | None = None
+    """(n - 1,) places in `Limit` of what bounds the speed from a place to the next; None where nothing did"""
+
+    @property
+    def stretches(self) -> list[Stretch]:
+        """What bounds the speed where, from the start to the end; none where it was not planned."""
+        if self.binding is None:
+            return []
+        cuts = np.flatnonzero(np.diff(self.binding)) + 1
+        first, last = np.concatenate([[0], cuts]), np.concatenate([cuts, [self.binding.size]])
+        return [
+            Stretch(_LIMITS[self.binding[i]], float(self.s[i]), float(self.s[j]))
+            for i, j in zip(first.tolist(), last.tolist(), strict=True)
+        ]
+
+    @property
+    def shares(self) -> dict[Limit, float]:
+        """Which share of the road each limit binds, the largest first."""
+        found: dict[Limit, float] = {}
+        for each in self.stretches:
+            found[each.limit] = found.get(each.limit, 0.0) + (each.end - each.start) / float(self.s[-1])
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     @property
     def acceleration(self) -> Array:
@@ -121,21 +178,25 @@ def plan_speed(
     stops: Sequence[Stop | float] = (),
     top_speed: Annotated[Positive, "m/s", SPEED] | None = None,
     spacing: Annotated[Finite, within(0.01, 100.0), "m"] = SPACING,
+    holds: HoldableSpeed | None = None,
 ) -> SpeedPlan:
-    """The fastest speed along a road.
+    """The fastest speed along a road; `SpeedPlan.stretches` say what bounds it where.
 
     Parameters
     ----------
     car : Vehicle, optional
         Its power, traction, brakes and resistance; without it comfort and friction alone bound the acceleration.
     start, end : float, optional
-        Speed at the two ends of an open road; free when left out.
+        Speed at the two ends of an open road. Left out they are free; the start is one that the car's power holds.
     stops : sequence of Stop or float
         Where to stand still, in m, and for how many seconds.
     top_speed : float, optional
-        Beside the road's own limit. By default, where the road has none, the highest speed of the car's domain.
+        Beside the road's own limit. By default, where the road has none, the highest speed of the car's domain, or
+        of the usual `Domain` without a car.
     spacing : float
         Largest distance of the places.
+    holds : HoldableSpeed, optional
+        Up to which speed and braking the margins of the controller hold (`adaptrack.analysis.holdable`).
 
     Raises
     ------
@@ -151,15 +212,18 @@ def plan_speed(
             )
     if road.closed and (start is not None or end is not None):
         raise InvalidInput("plan_speed: a closed road has no start and no end: leave both out, or give stops.")
-    cells = _Cells(road, car, comfort, _places(road, spacing, halts))
-    if top_speed is None:
-        cells.limit[unlimited(cells.limit)] = SPEED.most if car is None else car.domain.speed[1]
-    ceiling = cells.ceiling(SPEED.most if top_speed is None else top_speed)
+    cells = _Cells(road, car, comfort, _places(road, spacing, halts), holds)
+    cells.end_with(top_speed)
+    ceiling, named = cells.ceiling()
     for stop in halts:
-        ceiling[np.abs(cells.s - stop.s) < 1e-9] = 0.0
-    _impose_ends(ceiling, start, end)
+        here = np.abs(cells.s - stop.s) < 1e-9
+        ceiling[here], named[here] = 0.0, _NUMBER[Limit.ENDS]
+    _impose_ends((ceiling, named), start, end)
     if road.closed:
-        ceiling[[0, -1]] = ceiling[[0, -1]].min()
+        least = int(ceiling[-1] < ceiling[0]) * -1
+        ceiling[[0, -1]], named[[0, -1]] = ceiling[least], named[least]
+    elif start is None and car is not None:
+        ceiling[0] = min(ceiling[0], cells.sustained(ceiling[0]))
     w = _passed(cells, ceiling, road.closed)
     if start is not None and w[0] < start * start * (1.0 - 1e-9):
         slower = math.sqrt(w[0])
@@ -168,7 +232,8 @@ def plan_speed(
         )
     if math.isfinite(comfort.jerk):
         w = _with_jerk(cells, w, comfort.jerk, road.closed, start)
-    return _plan(cells.s, w, halts, road.closed, comfort)
+    plan = _plan(cells.s, w, halts, road.closed, comfort)
+    return replace(plan, binding=_binding(cells, w, ceiling, named))
 
 
 def unlimited(limit: Array) -> NDArray[np.bool_]:
@@ -183,14 +248,15 @@ def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> Spee
     return _plan(s, np.full(s.shape, speed**2), (), road.closed, Comfort())
 
 
-def _impose_ends(ceiling: Array, start: float | None, end: float | None) -> None:
+def _impose_ends(bounds: tuple[Array, NDArray[np.int8]], start: float | None, end: float | None) -> None:
+    ceiling, named = bounds
     for name, value, place in (("start", start, 0), ("end", end, -1)):
         if value is None:
             continue
         most = math.sqrt(ceiling[place])
         if value > most * (1.0 + 1e-9):
             raise InvalidInput(f"plan_speed: {name} = {value!r} m/s: must be at most {most:.4g} there.")
-        ceiling[place] = value * value
+        ceiling[place], named[place] = value * value, _NUMBER[Limit.ENDS]
 
 
 def _places(road: Road, spacing: float, halts: Sequence[Stop]) -> Array:
@@ -220,42 +286,80 @@ def _plan(s: Array, w: Array, halts: Sequence[Stop], closed: bool, comfort: Comf
 class _Cells:
     """What bounds the speed between neighbouring places, and at what."""
 
-    def __init__(self, road: Road, car: Vehicle | None, comfort: Comfort, s: Array) -> None:
+    def __init__(
+        self, road: Road, car: Vehicle | None, comfort: Comfort, s: Array, holds: HoldableSpeed | None = None
+    ) -> None:
         self.s, self.ds, self.car, self.comfort = s, np.diff(s), car, comfort
         first, last = road.table.at(s[:-1], 1).curvature, road.table.at(s[1:], -1).curvature
         self.curvature = np.where(np.abs(first) > np.abs(last), first, last)  # monotonous between: the larger end
         with np.errstate(divide="ignore", over="ignore"):
-            self.swerve = (comfort.lateral_jerk * self.ds / np.abs(last - first)) ** (2.0 / 3.0)
-        bank = road.along("bank", 0.5 * (s[:-1] + s[1:]))
+            swerve = (comfort.lateral_jerk * self.ds / np.abs(last - first)) ** (2.0 / 3.0)
+        bank, friction = road.along("bank", 0.5 * (s[:-1] + s[1:])), road.friction.least(s[:-1], s[1:])
         self.tilt = GRAVITY * np.sin(bank)
-        self.grip = comfort.grip_share * road.friction.least(s[:-1], s[1:]) * GRAVITY * np.cos(bank)
+        self.grip = comfort.grip_share * friction * GRAVITY * np.cos(bank)
         if car is not None:
-            able = cornering_limit(car, self.curvature, road.friction.least(s[:-1], s[1:]))
-            self.grip = np.minimum(self.grip, comfort.grip_share * able)
+            self.grip = np.minimum(self.grip, comfort.grip_share * cornering_limit(car, self.curvature, friction))
+        self._refuse_steep()
         self.limit = (
             np.full(self.ds.shape, np.inf) if road.speed_limit is None else road.speed_limit.least(s[:-1], s[1:])
         )
-        allowed = np.minimum(self.grip, comfort.lateral)
-        steep = np.flatnonzero(np.abs(self.tilt) >= allowed)
-        if steep.size:
-            k = int(steep[0])
-            if allowed[k] == 0.0:
-                raise InvalidInput(
-                    f"plan_speed: at s = {s[k]:.6g} m the radius is {1.0 / abs(self.curvature[k]):.3g} m, and this car "
-                    "cannot turn so tightly; correct the road there, or smooth it."
-                )
-            raise InvalidInput(
-                f"plan_speed: at s = {s[k]:.6g} m the bank alone pushes with {abs(self.tilt[k]):.3g} m/s^2, and "
-                f"{allowed[k]:.3g} are allowed; allow more, or correct the bank."
-            )
-        sign = np.sign(self.curvature)
-        bent = np.abs(self.curvature) > FLAT
-        self.bend = np.where(bent, (allowed + sign * self.tilt) / np.where(bent, np.abs(self.curvature), 1.0), np.inf)
+        self.bounds = {
+            Limit.LATERAL: self._bend(np.full(self.ds.shape, comfort.lateral)), Limit.GRIP: self._bend(self.grip),
+            Limit.CURVATURE_RATE: swerve, Limit.SPEED_LIMIT: self.limit**2,
+        }  # fmt: skip
+        self._held: tuple[Array, Array] | None = None
+        if holds is not None:
+            self._held = holds.along(self.curvature, bank, friction)
+            self.bounds[Limit.MARGINS] = highest(*self._held)
 
-    def ceiling(self, top_speed: float) -> Array:
-        """(n,) largest v^2 at each place, whatever comes before and after."""
-        w = np.minimum(np.minimum(self.bend, self.swerve), np.minimum(self.limit**2, top_speed**2))
-        return np.minimum(np.concatenate([w, [np.inf]]), np.concatenate([[np.inf], w]))
+    def _refuse_steep(self) -> None:
+        """A bend that is too tight for the car, or a bank alone that exceeds what is allowed sideways."""
+        allowed = np.minimum(self.grip, self.comfort.lateral)
+        steep = np.flatnonzero(np.abs(self.tilt) >= allowed)
+        if not steep.size:
+            return
+        k = int(steep[0])
+        if allowed[k] == 0.0:
+            raise InvalidInput(
+                f"plan_speed: at s = {self.s[k]:.6g} m the radius is {1.0 / abs(self.curvature[k]):.3g} m, and this "
+                "car cannot turn so tightly; correct the road there, or smooth it."
+            )
+        raise InvalidInput(
+            f"plan_speed: at s = {self.s[k]:.6g} m the bank alone pushes with {abs(self.tilt[k]):.3g} m/s^2, and "
+            f"{allowed[k]:.3g} are allowed; allow more, or correct the bank."
+        )
+
+    def _bend(self, allowed: Array) -> Array:
+        """v^2 at which a bend asks for what is allowed sideways (m/s^2)."""
+        bent = np.abs(self.curvature) > FLAT
+        pushed = allowed + np.sign(self.curvature) * self.tilt
+        return np.where(bent, pushed / np.where(bent, np.abs(self.curvature), 1.0), np.inf)
+
+    def end_with(self, top_speed: float | None) -> None:
+        """Where speeds end that nothing else bounds: at a top speed (m/s), or where the car's domain does."""
+        if top_speed is not None:
+            self.bounds[Limit.TOP_SPEED] = np.full(self.ds.shape, top_speed**2)
+            return
+        end = (Domain() if self.car is None else self.car.domain).speed[1]
+        self.bounds[Limit.DOMAIN] = np.where(unlimited(self.limit), end**2, np.inf)
+
+    def ceiling(self) -> tuple[Array, NDArray[np.int8]]:
+        """(n,) largest v^2 at each place, whatever comes before and after, and what bounds it: its place in `Limit`."""
+        stacked = np.stack(list(self.bounds.values()))
+        named = np.array([_NUMBER[limit] for limit in self.bounds], np.int8)[stacked.argmin(axis=0)]
+        w = np.concatenate([[np.inf], stacked.min(axis=0), [np.inf]])
+        names = np.concatenate([[0], named, [0]]).astype(np.int8)
+        return np.minimum(w[:-1], w[1:]), np.where(w[:-1] <= w[1:], names[:-1], names[1:])
+
+    def sustained(self, most: float) -> float:
+        """The largest v^2, up to `most`, at which the car's power holds the speed at the start."""
+        if self.drive(0, most) >= 0.0:
+            return most
+        low, high = 0.0, most
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.drive(0, middle) >= 0.0 else (low, middle)
+        return low
 
     def left(self, k: int, w: float, arm: float) -> float:
         """What friction leaves along the road (m/s^2): Newton's method from above on a convex function, to rounding.
@@ -278,20 +382,32 @@ class _Cells:
             b -= over / (2.0 * b + 2.0 * lever * sideways**2 / rest**3)
         return max(b, 0.0)
 
+    def drives(self, k: int, w: float) -> tuple[float, float, float]:
+        """What bounds the acceleration in a cell at v^2 = w: comfort, grip, power."""
+        if self.car is None:
+            return self.comfort.accelerate, self.left(k, w, 1.0), math.inf
+        car, slowed = self.car, self.resistance(w)
+        force = min(car.traction_limit, car.engine_power / math.sqrt(max(w, 1e-6)))
+        return self.comfort.accelerate, self.left(k, w, car.lr) - slowed, force / car.mass - slowed
+
+    def brakings(self, k: int, w: float) -> tuple[float, float, float, float]:
+        """What bounds the deceleration there: comfort, grip, brakes, margins of the controller.
+
+        What air and rolling add is left to the tyres as a reserve.
+        """
+        held = math.inf if self._held is None else max(float(np.interp(w, self._held[0], self._held[1][k])), 0.0)
+        if self.car is None:
+            return self.comfort.brake, self.left(k, w, 1.0), math.inf, held
+        brakes = self.car.brake_limit / self.car.mass + self.resistance(w)
+        return self.comfort.brake, self.left(k, w, self.car.lf), brakes, held
+
     def drive(self, k: int, w: float) -> float:
         """The largest acceleration in a cell at v^2 = w."""
-        if self.car is None:
-            return min(self.comfort.accelerate, self.left(k, w, 1.0))
-        car, v = self.car, math.sqrt(max(w, 1e-6))
-        force = min(car.traction_limit, car.engine_power / v, car.mass * self.left(k, w, car.lr))
-        return min(self.comfort.accelerate, force / car.mass - self.resistance(w))
+        return min(self.drives(k, w))
 
     def brake(self, k: int, w: float) -> float:
-        """The largest deceleration in a cell at v^2 = w; what air and rolling add is left to the tyres as a reserve."""
-        if self.car is None:
-            return min(self.comfort.brake, self.left(k, w, 1.0))
-        brakes = self.car.brake_limit / self.car.mass + self.resistance(w)
-        return min(self.comfort.brake, self.left(k, w, self.car.lf), brakes)
+        """The largest deceleration in a cell at v^2 = w."""
+        return min(self.brakings(k, w))
 
     def resistance(self, w: float) -> float:
         """Deceleration by air and rolling (m/s^2), without wind."""
@@ -315,6 +431,27 @@ def _passed(cells: _Cells, ceiling: Array, closed: bool) -> Array:
         for k in range(n - 1, -1, -1):
             w[k] = min(w[k], _next(w[k + 1], w[k], cells.ds[k], partial(cells.brake, k)))
     return w
+
+
+_DRIVES = (Limit.ACCELERATE, Limit.GRIP, Limit.POWER)
+_BRAKINGS = (Limit.BRAKE, Limit.GRIP, Limit.BRAKES, Limit.MARGINS)
+
+
+def _binding(cells: _Cells, w: Array, ceiling: Array, named: NDArray[np.int8]) -> NDArray[np.int8]:
+    """(n - 1,) places in `Limit` of what bounds v^2 = w in each cell.
+
+    Where both of its ends are at their ceilings, that of the slower one; else what bounds the acceleration.
+    """
+    at_ceiling = w >= ceiling * (1.0 - 1e-6)
+    found = np.where(w[:-1] <= w[1:], named[:-1], named[1:])
+    for k in np.flatnonzero(~(at_ceiling[:-1] & at_ceiling[1:])).tolist():
+        gains = w[k + 1] >= w[k]
+        asked, names = (cells.drives, _DRIVES) if gains or cells.drive(k, w[k]) < 0.0 else (cells.brakings, _BRAKINGS)
+        most = np.minimum(asked(k, w[k]), asked(k, w[k + 1]))
+        used = abs(w[k + 1] - w[k]) / (2.0 * cells.ds[k])
+        soft = math.isfinite(cells.comfort.jerk) and used < 0.98 * most.min()
+        found[k] = _NUMBER[Limit.JERK if soft else names[int(most.argmin())]]
+    return found.astype(np.int8)
 
 
 def _next(w: float, ceiling: float, ds: float, most: Callable[[float], float]) -> float:

@@ -8,10 +8,12 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from adaptrack.analysis.holdable import holdable_speed
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import Controller, about_controller, get_controller
+from adaptrack.control.controllers import MPC, Controller, about_controller, get_controller
+from adaptrack.road.holdable import HoldableSpeed
 from adaptrack.scenario.profile import Profile
 
 
@@ -33,6 +35,9 @@ class ConstantTuning(Record):
     command: str = Field(default="", description="the command line that made it")
     belief: str = Field(default="", description="of the controller about the steering, when it was found")
     tuning: dict[str, float] = Field(description="the controller's tuning entries")
+    holds: HoldableSpeed | None = Field(
+        default=None, description="speeds and braking that the controller holds with it, see `HoldableSpeed`"
+    )
 
     @model_validator(mode="after")
     def _is_known(self) -> ConstantTuning:
@@ -52,6 +57,13 @@ class ConstantTuning(Record):
             given, names = ", ".join(self.tuning), ", ".join(own.tuning_names)
             raise InvalidInput(f"tuning of {self.controller!r}: entries {given}: must be {names}.")
         return own.with_tuning(self.tuning)
+
+    def holding(self, car: Vehicle, profile: Profile) -> ConstantTuning:
+        """The same with `holds`, of a controller that can be analysed: an `MPC` (some seconds)."""
+        controller = self.make(car, profile, self.period, profile.preview)
+        if not isinstance(controller, MPC) or controller.scheduler is not None:
+            return self
+        return self.replace(holds=holdable_speed(car, controller, profile))
 
     def label(self, path: str | os.PathLike[str]) -> str:
         """How tables call it, read from this file."""

@@ -1,0 +1,198 @@
+"""What a controller holds bounds the plan, which names its limits and begins at a speed that the power holds."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.analysis import holdable
+from adaptrack.analysis.holdable import borne, holdable_speed, top_speed
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import GRAVITY, load_vehicle
+from adaptrack.control.controllers import MPC, Stanley, published_mpc
+from adaptrack.control.controllers.learned import Learning
+from adaptrack.drive.simulate import rollout
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
+from adaptrack.road.holdable import HoldableSpeed, load_holdable
+from adaptrack.road.speed import Limit, constant_speed
+from adaptrack.scenario import RoadDrive
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.constant_file import ConstantTuning, load_tuning
+
+CAR = load_vehicle("midsize-sedan")
+TABLE = HoldableSpeed(
+    vehicle="a car", profile="road", longest=10.0, speeds=(10.0, 30.0, 50.0), sideways=(0.0, 0.5, 1.0),
+    frictions=(0.5, 1.0), cornering=(4.5, 9.0),
+    braking=tuple(((0.4, 0.3, 0.1), (0.3, 0.2, 0.0), (0.2, 0.0, -0.2)) for _ in range(2)),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    """Tables of few nodes, each made in well below a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(holdable, "RATIO", 1.9)
+        patch.setattr(holdable, "FRICTIONS", (0.5, 1.0))
+        patch.setattr(holdable, "SIDEWAYS", (0.0, 0.5))
+        holdable._kept.cache_clear()
+        yield lambda mpc, profile: holdable_speed(CAR, mpc, profile)
+    holdable._kept.cache_clear()
+
+
+# -- the table --------------------------------------------------------------------------------------------------------
+def test_between_its_nodes_a_table_is_linear_and_beyond_them_constant():
+    assert float(TABLE.deceleration(20.0, 0.0, 1.0)) == pytest.approx(0.35 * GRAVITY)
+    assert float(TABLE.deceleration(30.0, -6.75, 1.0)) == pytest.approx(0.1 * GRAVITY)  # to either side
+    assert float(TABLE.deceleration(5.0, 0.0, 2.0)) == pytest.approx(0.4 * 2.0 * GRAVITY)
+    assert float(TABLE.deceleration(90.0, 9.0, 1.0)) == pytest.approx(-0.2 * GRAVITY)
+
+
+def test_a_bend_is_held_up_to_the_speed_at_which_not_even_coasting_is():
+    fastest = float(TABLE.speed(0.003, 0.0, 1.0)[0])
+    assert 30.0 < fastest < 50.0
+    assert float(TABLE.deceleration(fastest, 0.003 * fastest**2, 1.0)) == pytest.approx(0.0, abs=0.02)
+    assert TABLE.speed(0.0)[0] == math.inf  # held at all speeds of the table
+    assert (np.diff(TABLE.speed(np.linspace(0.003, 0.02, 9), 0.0, 1.0)) <= 0.0).all()
+    assert (np.diff(TABLE.speed(0.004, 0.0, np.linspace(0.5, 1.0, 6))) > 0.0).all()
+    assert TABLE.speed(0.004, 0.1)[0] > TABLE.speed(0.004)[0]  # banked inwards
+
+
+def test_a_table_is_the_same_after_its_file_and_one_with_a_hole_is_refused(tmp_path):
+    TABLE.to_toml(tmp_path / "held.toml")
+    assert load_holdable(tmp_path / "held.toml") == TABLE
+    with pytest.raises(InvalidInput, match=r"2 x 3 x 3 values"):
+        TABLE.replace(braking=TABLE.braking[:1])
+    with pytest.raises(InvalidInput, match="must rise"):
+        TABLE.replace(speeds=(30.0, 10.0, 50.0))
+
+
+def test_the_saloon_holds_less_braking_the_faster_it_is_and_more_with_friction(coarse):
+    held = coarse(MPC(CAR, profile="production"), "production")
+    speeds = np.array(held.speeds)
+    straight = held.deceleration(speeds, 0.0, 1.0)
+    assert straight[0] > 3.0 > straight[-1]  # the comfort's braking is held at 10 m/s and not at 60
+    assert (np.diff(straight) <= 1e-9).all()
+    assert (held.deceleration(speeds, 0.0, 0.5) < straight + 1e-9).all()
+    assert held is coarse(MPC(CAR, profile="production"), "production")  # made once
+
+
+def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(coarse):
+    known = coarse(MPC(CAR, profile="road"), "road")
+    learning = MPC(CAR, profile="road", learning=Learning())
+    slow = coarse(learning, "road")
+    lag, dead_time = (high for _, high in learning.learner.ranges)
+    assert f"lag {lag:.3g} s" in slow.steering
+    assert dead_time > 0.1
+    at = np.array([20.0, 40.0, 55.0])
+    assert (slow.deceleration(at, 0.0, 0.9) <= known.deceleration(at, 0.0, 0.9) + 1e-9).all()
+
+
+def test_the_published_controller_has_a_table_too(coarse):
+    held = coarse(published_mpc(CAR, period=0.05), "road")
+    assert np.isfinite(np.array(held.braking)).all()
+
+
+def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
+    assert borne(1.0, 3.0, 0.05) == borne(0.5, 3.0, 0.05) == 0.0
+    radius = 1.0 - borne(9.0, 3.0, 0.05) / 10.0
+    assert radius ** (3.0 / 0.05) == pytest.approx(9.0, rel=1e-9)
+    assert borne(9.0, 6.0, 0.05) > borne(9.0, 3.0, 0.05)  # it lasts longer
+
+
+def test_a_bend_leaves_the_reserve_of_what_the_car_corners_with():
+    held = TABLE.replace(reserve=1.5)
+    assert float(held.deceleration(20.0, 7.5, 1.0)) == pytest.approx(0.0, abs=1e-9)
+    assert float(held.deceleration(20.0, 7.0, 1.0)) > 0.0 > float(held.deceleration(20.0, 7.6, 1.0))
+
+
+def test_a_tuning_keeps_what_it_holds(coarse, tmp_path):
+    found = ConstantTuning(
+        controller="informed", vehicle=CAR.name, profile="road", period=0.05,
+        tuning={"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 10.0},
+    ).holding(CAR, load_profile("road"))  # fmt: skip
+    found.to_toml(tmp_path / "own.toml")
+    assert load_tuning(tmp_path / "own.toml").holds == found.holds
+    assert found.holds is not None
+    entries = dict.fromkeys(Stanley(CAR).tuning_names, 1.0)
+    stanley = ConstantTuning(controller="stanley", vehicle=CAR.name, profile="road", period=0.05, tuning=entries)
+    assert stanley.holding(CAR, load_profile("road")).holds is None
+
+
+# -- plans ------------------------------------------------------------------------------------------------------------
+def test_a_plan_is_no_faster_and_brakes_no_harder_than_the_table_says():
+    road = generate_road("mountain", seed=3, length=1500.0)
+    comfort = Comfort(lateral=7.0, brake=6.0, lateral_jerk=math.inf)
+    plan = plan_speed(road, CAR, comfort, top_speed=60.0, holds=TABLE)
+    middle = 0.5 * (plan.s[1:] + plan.s[:-1])
+    v = np.sqrt(0.5 * (plan.speed[1:] ** 2 + plan.speed[:-1] ** 2))
+    held = TABLE.deceleration(v, v**2 * road.at(middle).curvature, 0.9)
+    assert (np.maximum(-plan.acceleration, 0.0) <= np.maximum(held, 0.0) + 0.15).all()
+    assert (plan.at(middle) <= TABLE.speed(road.at(middle).curvature) * 1.01).all()
+    assert plan.duration > plan_speed(road, CAR, comfort, top_speed=60.0).duration
+
+
+def test_the_saloon_that_brakes_from_speed_leaves_the_road_without_the_table_and_stays_with_it(coarse):
+    road = Road.from_segments(
+        [Line(length=500.0), Clothoid(length=40.0, start_curvature=0.0, end_curvature=0.025),
+         Arc(length=40.0, curvature=0.025)]
+    )  # fmt: skip
+    mpc, offsets = MPC(CAR, profile="production"), []
+    for holds in (None, coarse(mpc, "production")):
+        plan = plan_speed(road, CAR, Comfort(lateral=4.0), top_speed=100.0, holds=holds)
+        run = rollout(DualTrack(CAR), mpc, RoadDrive(road, plan), profile="production", seed=3)
+        offsets.append(float(np.nanmax(np.abs(run.error))))
+    assert offsets[0] > 4.0
+    assert offsets[1] < 1.0
+
+
+def test_an_open_road_begins_at_a_speed_that_the_power_holds():
+    road = Road.from_segments([Line(length=3000.0)], friction=1.2)
+    plan = plan_speed(road, CAR, top_speed=100.0)
+    assert plan.speed[0] == pytest.approx(top_speed(CAR), abs=0.5)
+    assert plan.speed[0] == pytest.approx(plan.speed[-1], rel=1e-6)
+    assert plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
+    assert {each.limit for each in plan.stretches} == {Limit.POWER}
+
+
+def test_without_a_car_a_road_without_limit_ends_with_the_usual_domain():
+    road = Road.from_segments([Line(length=3000.0)])
+    assert plan_speed(road).speed.max() == pytest.approx(27.0)
+    closed = Road.from_segments([Arc(length=2000.0 * math.pi, curvature=1e-3)], closed=True)
+    assert plan_speed(closed, CAR).speed.max() == pytest.approx(CAR.domain.speed[1])
+
+
+def circle(radius, **along):
+    return Road.from_segments([Arc(length=2.0 * math.pi * radius, curvature=1.0 / radius)], closed=True, **along)
+
+
+@pytest.mark.parametrize(
+    ("road", "options", "limit"),
+    [
+        (circle(50.0), {"comfort": Comfort(lateral=3.0)}, Limit.LATERAL),
+        (circle(50.0, friction=0.3), {"comfort": Comfort(lateral=5.0)}, Limit.GRIP),
+        (circle(900.0, speed_limit=20.0), {}, Limit.SPEED_LIMIT),
+        (circle(900.0), {}, Limit.DOMAIN),
+        (circle(900.0), {"top_speed": 30.0}, Limit.TOP_SPEED),
+        (circle(400.0), {"comfort": Comfort(lateral=7.0), "top_speed": 60.0, "holds": TABLE}, Limit.MARGINS),
+        (Road.from_segments([Clothoid(length=60.0, start_curvature=-0.02, end_curvature=0.02)]),
+         {"comfort": Comfort(lateral=50.0, grip_share=1.0, lateral_jerk=4.0)}, Limit.CURVATURE_RATE),
+        (Road.from_segments([Line(length=150.0)]), {"start": 1.0}, Limit.ACCELERATE),
+        (Road.from_segments([Line(length=80.0)]), {"end": 0.0, "top_speed": 60.0}, Limit.BRAKE),
+    ],
+)  # fmt: skip
+def test_a_plan_names_what_bounds_it(road, options, limit):
+    plan = plan_speed(road, CAR, options.pop("comfort", Comfort()), **options)
+    assert next(iter(plan.shares)) == limit
+    assert plan.shares[limit] > 0.5
+
+
+def test_the_limits_cover_the_whole_road_once():
+    road = generate_road("mountain", seed=1, length=1200.0, friction=([0.0, 500.0, 501.0], [0.9, 0.9, 0.3]))
+    plan = plan_speed(road, CAR, Comfort(lateral=4.0, jerk=2.0), stops=[Stop(300.0, 2.0)], end=0.0, holds=TABLE)
+    found = plan.stretches
+    assert (found[0].start, found[-1].end) == (0.0, road.length)
+    assert all(one.end == other.start and one.limit != other.limit for one, other in itertools.pairwise(found))
+    assert sum(plan.shares.values()) == pytest.approx(1.0)
+    assert constant_speed(road, 10.0).stretches == []
