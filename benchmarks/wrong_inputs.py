@@ -7,10 +7,11 @@
 A car that is not ours (single track, tyres that saturate, gusts, a steering with lag, dead time, rate and bias) drives
 roads of all kinds through `Tracker` at 20 Hz, with the noise of `road` or of `production`, late and lost samples. The
 controller has a data sheet and learns, or is given the car. Judged seeds begin at `JUDGED`; everything in
-`adaptrack.control.input_check` was chosen on those from `TUNING` on (`--tuning`).
+`adaptrack.control.input_check` was chosen on those from `TUNING` on (``--tuning``).
 
-wrong: one input is wrong from the first call; at which distance from the path it was said. honest: 120 s each; every
-word is a false one. sliding: friction fails under an axle in a bend; the time from 10 degrees of sideslip to the status.
+wrong: one input is wrong from the first call; at which distance from the path it was said. honest: 120 s each;
+every word is a false one. sliding: friction fails under an axle in a bend; the time from 10 degrees of sideslip to the
+status.
 """
 
 from __future__ import annotations
@@ -137,8 +138,8 @@ _mirrored = _with(
 )  # fmt: skip
 FAULTS = {
     "steering sign": Fault(command=-1.0, named=("steering",)),
-    "NED, path too": Fault(_with(wheel=lambda s: -s.wheel), -1.0, named=("steering",)),
-    "y mirrored, path too": Fault(_mirrored, -1.0, named=("mirrored",)),
+    "NED with its path": Fault(_with(wheel=lambda s: -s.wheel), -1.0, named=("steering",)),
+    "y mirrored with its path": Fault(_mirrored, -1.0, named=("mirrored",)),
     "yaw rate's sign": Fault(_with(yaw_rate=lambda s: -s.yaw_rate), named=("yaw_rate",)),
     "lateral signs": Fault(_with(vy=lambda s: -s.vy, pull=lambda s: -s.pull), named=("lateral",)),
     "yaw in degrees": Fault(_with(yaw=lambda s: s.yaw * DEGREES), named=("yaw is in degrees",)),
@@ -247,8 +248,9 @@ def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide:
                 given = None
             if given is not None:
                 clock = fault.clock if fault else 1.0
-                row = (clock * given.t, clock * t, given.x, given.y, given.yaw, given.speed, given.yaw_rate, given.vy, given.pull,
-                       engaged if not driven.rows and engaged is not None else given.wheel)  # fmt: skip
+                first = not driven.rows and engaged is not None
+                row = (clock * given.t, clock * t, given.x, given.y, given.yaw, given.speed, given.yaw_rate, given.vy,
+                       given.pull, engaged if first else given.wheel)  # fmt: skip
                 out = step(tracker, row)
                 command = out.command
                 driven.rows.append((*row, command, float(foot.offset), sideslip))
@@ -327,7 +329,7 @@ class _Sensors:
 # -- the three campaigns ----------------------------------------------------------------------------------------------
 def wrong(seeds: range, faults: list[str]) -> None:
     """Print when each fault was said."""
-    print("| wrong input | said | before 1 m, or never 1 m off | before 3 m | named rightly | s until, median (90 %) |")
+    print("| wrong input | said | before 1 m, or never 1 m off | before 3 m | named rightly | median (90 %), s |")
     for name in faults:
         fault, rows = FAULTS[name], [drive(seed, FAULTS[name], WRONG) for seed in seeds]
         said = [each.said[0] if each.said else None for each in rows]

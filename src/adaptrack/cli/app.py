@@ -13,6 +13,7 @@ from adaptrack.cli import (
     campaign,
     car,
     certify,
+    check_loop,
     compare,
     dataset,
     drive,
@@ -61,6 +62,7 @@ def _options(
 for command in (
     drive.drive,
     identify.identify,
+    check_loop.check_loop,
     simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,

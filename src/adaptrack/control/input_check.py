@@ -33,20 +33,21 @@ MEMORY = 12.0
 EVIDENCE, SURE, AGAIN = 12.0, 5.0, 2
 """-, see above; where the rest is sure; looks in a row at which it must be there."""
 SLOW, GENTLE, ROUGH, STEEP = 3.0, 2.5, 5.0, 6.0
-"""m/s: slower, nothing is compared; m/s^2, lateral: beyond it places and courses are not, and no car need turn faster."""
+"""m/s: slower, nothing is compared; m/s^2, lateral: of what says which point of the car is measured, of what says that
+frames differ, and beyond which no car need turn as it is steered."""
 DELAYS, LAG = np.arange(0.0, 0.61, 0.1), 0.15
 """s, that are tried between a command and the turning of the car, behind a lag."""
 POSITION, YAW = 0.045, 0.005
 """m, rad, noise of a difference of two samples."""
 ASKEW, TURNED = 0.1, 0.3
-"""rad: beside what sideslip explains, positions that move further beside the yaw are of another frame; that the yaw must
-have changed before both are known to agree."""
+"""rad: beside what sideslip explains, positions that move further beside the yaw are of another frame; that the yaw
+must have changed before both are known to agree."""
 SLIDING, NOT_SLIDING, SLIDES = math.radians(8.5), math.radians(5.0), math.radians(4.5)
 """Sideslip from which the car slides, below which it no longer does, and of it what a rolling turn does not explain."""
 RELEASE = 0.5
 """s, for which the sideslip must be small before the sliding is over."""
 DEGREE = math.pi / 180.0
-UNKNOWN = math.nan
+ALL = slice(None)
 
 
 class _Hypothesis(NamedTuple):
@@ -71,14 +72,14 @@ class _Comparison:
     def __init__(self, compared: str, hypotheses: Iterable[_Hypothesis], overlap: int, intercept: float = 0.0,
                  evidence: float = EVIDENCE) -> None:  # fmt: skip
         """intercept: its standard deviation, in the unit of y."""
-        self.most, self.evidence = 0.0, evidence
         told = list(hypotheses)
-        self.compared, self.labels, self.overlap = compared, [each.label for each in told], overlap
+        self.compared, self.labels = compared, [each.label for each in told]
+        self.overlap, self.intercept, self.evidence = overlap, intercept, evidence
         self.rows = np.array([(*each.parameters, -1.0) for each in told])
         self.honest = np.array([not label for label in self.labels])
         size = self.rows.shape[1] + 1
         self.gram, self.full = np.zeros((size, size)), np.ones(size)
-        self.intercept, self.seconds, self.count, self.repeated, self.label = intercept, 0.0, 0.0, 0, ""
+        self.seconds, self.count, self.repeated, self.usual, self.label = 0.0, 0.0, 0, 0, ""
 
     def add(self, x: Sequence[float] | Array, y: float, noise: float, time: float, sure: bool = False) -> str:
         """Take in a window; the mistake that is now certain, or nothing.
@@ -88,53 +89,54 @@ class _Comparison:
         self.full[:-2], self.full[-2] = x, y
         each, left = self.full / noise, math.exp(-time / MEMORY)
         self.gram *= left
-        self.gram += np.outer(each, each)
+        self.gram += each[:, None] * each
         self.seconds, self.count = self.seconds + time, self.count * left + 1.0
-        misfit = self.misfits()
-        best = int(np.argmin(np.where(self.honest, np.inf, misfit)))
-        noisy = max(1.0, misfit[best] / self.count)
-        better = float(misfit[self.honest].min() - misfit[best]) / (self.overlap * noisy)
-        self.most = max(self.most, better) if better == better else self.most
-        self.repeated = self.repeated + 1 if better > (SURE if sure else self.evidence) else 0
+        enough = SURE if sure else self.evidence
+        if self.misfits([self.usual])[0] < enough * self.overlap:  # no mistake can be better by so much
+            self.repeated = 0
+            return self.label
+        misfits = self.misfits()
+        self.usual = int(np.argmin(np.where(self.honest, misfits, np.inf)))
+        best = int(np.argmin(np.where(self.honest, np.inf, misfits)))
+        better = (misfits[self.usual] - misfits[best]) / (self.overlap * max(1.0, misfits[best] / self.count))
+        self.repeated = self.repeated + 1 if better > enough else 0
         if self.repeated >= (1 if sure else AGAIN):
             self.label = self.labels[best]
         return self.label
 
-    def misfits(self) -> Array:
-        """Of each hypothesis, squares over the noise's."""
-        gram = self.gram[:-1, :-1]
+    def misfits(self, which: slice | list[int] = ALL) -> Array:
+        """Of hypotheses, squares over the noise's."""
+        gram, rows = self.gram[:-1, :-1], self.rows[which]
         if self.intercept > 0.0:
             sums = self.gram[:-1, -1]
-            gram = gram - np.outer(sums, sums) / (self.gram[-1, -1] + 1.0 / self.intercept**2)
-        return np.asarray(((self.rows @ gram) * self.rows).sum(axis=1))
+            gram = gram - sums[:, None] * sums / (self.gram[-1, -1] + 1.0 / self.intercept**2)
+        return np.asarray(((rows @ gram) * rows).sum(axis=1))
 
 
 class _Delayed(_Comparison):
-    """One with a bank of delays: x are what was asked for by each delay, with the first command as it was before the
-    beginning, that with its negative, and the share of what nobody knows of before the beginning; the last is free.
+    """One with a bank of delays, y = b_i x_i + c_i h_i + intercept, with a free c_i for what was before the beginning.
+
+    x are what was asked for by each delay, with the first command as it was before the beginning, then the same with
+    its negative, for negative b; h the share of what was before the beginning.
     """
 
     UNKNOWN = 0.15
-    """Standard deviation of what is not known, in the unit of y."""
+    """Standard deviation of c, in the unit of y."""
 
     def __init__(self, compared: str, factors: dict[str, tuple[float, ...]], *more: float) -> None:
-        told, n = [], DELAYS.size
-        self.free = []
-        for label, some in factors.items():
-            for factor, i in itertools.product(some, range(n)):
-                row = [0.0] * (3 * n)
-                row[i if factor >= 0.0 else n + i] = factor
-                told.append(_Hypothesis(label, tuple(row)))
-                self.free.append(2 * n + i)
-        super().__init__(compared, told, 2, *more)
+        n = DELAYS.size
+        told = [(label, factor, i) for label, some in factors.items() for factor in some for i in range(n)]
+        self.factor = np.array([factor for _, factor, _ in told])
+        self.place = np.array([i if factor >= 0.0 else n + i for _, factor, i in told])
+        self.free = np.array([2 * n + i for _, _, i in told])
+        super().__init__(compared, [_Hypothesis(label, (0.0,) * 3 * n) for label, _, _ in told], 2, *more)
 
-    def misfits(self) -> Array:
-        gram, free = self.gram, self.free
-        crossed = np.column_stack([self.rows, np.zeros(len(self.rows))]) @ gram
-        own = (crossed[:, :-1] * self.rows).sum(axis=1)
-        a = gram[free, free] + 1.0 / self.UNKNOWN**2
-        b, c = gram[free, -1], gram[-1, -1] + 1.0 / self.intercept**2
-        p, q = crossed[np.arange(len(free)), free], crossed[:, -1]
+    def misfits(self, which: slice | list[int] = ALL) -> Array:
+        gram, factor, place, free = self.gram, self.factor[which], self.place[which], self.free[which]
+        own = factor**2 * gram[place, place] - 2.0 * factor * gram[place, -2] + gram[-2, -2]
+        p, q = factor * gram[place, free] - gram[-2, free], factor * gram[place, -1] - gram[-2, -1]
+        a, c = gram[free, free] + 1.0 / self.UNKNOWN**2, gram[-1, -1] + 1.0 / self.intercept**2
+        b = gram[free, -1]
         return np.asarray(own - (c * p * p - 2.0 * b * p * q + a * q * q) / (a * c - b * b))
 
 
@@ -179,6 +181,27 @@ GAINS = (0.25, 0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2, 3.2)
 """Of turning over what the believed car's steering asks for, that need not surprise."""
 
 
+SIGN = "its sign is wrong; give it positive to the left."
+_AGAINST = {"sign": (-0.4, -0.7, -1.0, -1.5, -2.5)}
+KNOWN_CAR = {
+    "": GAINS,
+    "the car hardly turns, as if it were taken in degrees or not at all; give the actuator radians at the road wheels.":
+        (0.0, DEGREE, 0.05),
+    "the car turns many times as much, as if it were sent in degrees, or at the steering wheel; give the actuator "
+    "radians at the road wheels.": (8.0, 15.0, 30.0, 57.3),
+} | _AGAINST  # fmt: skip
+UNKNOWN_CAR = {"": (0.02, 0.05, 0.1, *GAINS, 6.0, 12.0, 24.0, 50.0)} | _AGAINST
+WHEELS = {
+    "": NEAR_ONE,
+    "the steering takes the command with the other sign, or wheel_angle has it; both are positive to the left.": (
+        -1.0,
+    ),
+    "it is in degrees; give rad.": (57.3,),
+    "it is the angle of the steering wheel; give that of the road wheels.": (11.0, 14.0, 17.0, 20.0),
+}
+"""Gains of turning, or of wheels, over the command: honest, and mistakes."""
+
+
 class InputCheck:
     """Compares the inputs of a loop with each other as they come.
 
@@ -205,7 +228,7 @@ class InputCheck:
         self._askew = self._steps = self._degrees = 0
         self._calm = 0.0
         self._mounting, self._straight = 0.0, 0
-        self._origin = math.nan
+        self._origin, self._confirmed = math.nan, False
         self._agreed, self._range = 0, [math.inf, -math.inf]
         self._courses: deque[tuple[float, float]] = deque(maxlen=10)
 
@@ -363,6 +386,7 @@ class InputCheck:
         self._range = [min(self._range[0], yaw), max(self._range[1], yaw)]
         if abs(aside) < 0.2:
             self._agreed += 1
+            self._confirmed |= abs(turned) > TURNED
         turned = self._range[1] - self._range[0] > TURNED
         beside = max(aside - max(rolling, 0.0), min(rolling, 0.0) - aside)
         known = self._agreed > (20 if turned else 60)
@@ -407,17 +431,23 @@ class InputCheck:
         self._degrees = self._degrees + 1 if gross else 0
         if self._degrees > AGAIN:
             label = "degrees"
+        if label == "degrees" and self._confirmed:
+            label = "yaw_rate is taken for degrees per second; it is in rad/s."
         if label == "late":
             self._say("yaw late", "yaw and yaw_rate are of clocks that are some 0.2 s apart, one of them is late: give "
                       "each the time at which it was taken.")  # fmt: skip
         elif label == "degrees":
             self._say("course", "yaw: it changes 57 times as much as yaw_rate says: yaw is in degrees; give it in "
                       "radians.")  # fmt: skip
-        elif "sign is wrong" in label and "course" in self._labels:
-            return
+        elif label == SIGN and self._course_turns() * turned < 0.0:
+            self._explain_course()
         elif label:
             self._say("yaw_rate", f"yaw_rate: over half a second yaw changes by {turned:.2g} rad where it says "
                       f"{rates:.2g}: {label}")  # fmt: skip
+
+    def _course_turns(self) -> float:
+        """rad, by how much the direction of motion has changed lately."""
+        return math.remainder(self._courses[-1][0] - self._courses[0][0], math.tau) if self._courses else 0.0
 
     def _compare_sideways(self, aside: float, speed: float, time: float, window: Sequence[_Tick]) -> None:
         """Which point of the car the positions are of, by how they move sideways where the car turns."""
@@ -478,17 +508,19 @@ class InputCheck:
         rate = sum(each.yaw_rate * each.time for each in window[-2:]) / span
         if not math.isfinite(rate):
             rate = sum(each.turned for each in window[-2:]) / span
-        agree = not abs(turned - rates) > 0.03 + 0.3 * max(abs(turned), abs(rates))
+        apart, most = abs(turned - rates), max(abs(turned), abs(rates))
+        agree = not apart > 0.015 + 0.3 * most
         if not math.isfinite(rate) or not agree or abs(aside) > 0.14:
             return
         asked = _asked(both, times, turning, old * self._first[0], old, span)
-        opposite = abs(rate) > 0.05 and bool((asked[: DELAYS.size] * rate < 0.0).all())  # to all that was asked for
-        label = self._relations["steering"].add(asked, rate, 0.01 + 0.08 * abs(rate), last.time, opposite)
+        against = bool((asked[: DELAYS.size] * rate < 0.0).all())  # all that was asked for
+        sure = against and abs(rate) > 0.05 and not apart > 0.4 * most
+        label = self._relations["steering"].add(asked, rate, 0.01 + 0.08 * abs(rate), last.time, sure)
         if label == "sign":
             self.against_steering = True
-            self._say("steering", "command: the car turns to the other side: the steering takes it with the other sign, or "
-                      "x, y, yaw, yaw_rate and the path are of a left-handed frame (such as NED). Commands and angles "
-                      "are positive to the left.")  # fmt: skip
+            self._say("steering", "command: the car turns to the other side: the steering takes it with the other "
+                      "sign, or x, y, yaw, yaw_rate and the path are of a left-handed frame (such as NED). Commands "
+                      "and angles are positive to the left.")  # fmt: skip
         elif label:
             self._say("steering", f"command: {label}")
 
@@ -496,7 +528,6 @@ class InputCheck:
     def _judge_sliding(self) -> None:
         """Whether the car slides, by its lateral velocity, or by how its positions move beside its yaw."""
         last, before = self._ticks[-1], self._ticks[-3]
-        time = last.t - before.t
         unsure = 0.0
         if math.isfinite(last.vy):
             self.sideslip = math.atan2(last.vy, last.speed)
@@ -520,37 +551,35 @@ class InputCheck:
 
 def _relations(car: Vehicle | None) -> dict[str, _Comparison]:
     """The comparisons, with what is honest and what is a known mistake in each."""
-    late, in_time = (-0.25, -0.2, -0.15, 0.15, 0.2, 0.25), (-0.06, -0.03, 0.0, 0.03, 0.06)
-    way = [*_grid("", NEAR_ONE, in_time), *_grid("it is in km/h; give m/s.", (1 / 3.6,), (0.0,)),
-           *_grid("it is in miles per hour; give m/s.", (0.447,), (0.0,)),
-           *_grid("check its unit; give m/s, along the car.", (0.1, 0.6, 1.6, 2.2, 3.6, 10.0), (0.0,)),
-           *_grid("late", (0.95, 1.0, 1.05), late)]  # fmt: skip
-    turn = [*_grid("", NEAR_ONE, in_time), *_grid("sign", (-1.0,), (0.0,)), *_grid("degrees", (40.0, 57.3), (0.0,)),
-            *_grid("yaw_rate is in degrees per second; give rad/s.", (DEGREE,), (0.0,)),
-            *_grid("check its unit; give rad/s.", (0.1, 0.5, 2.0, 5.0, 10.0), (0.0,)),
-            *_grid("late", (0.95, 1.0, 1.05), late)]  # fmt: skip
-    for i, each in enumerate(turn):
-        if each.label == "sign":
-            turn[i] = each._replace(label="its sign is wrong; give it positive to the left.")
-    course = [*_grid("", (0.7, 0.85, 1.0, 1.2)), *_grid("mirrored", (-1.0,)), *_grid("degrees", (1 / 57.3,))]
-    pull = [*_grid("", (0.5, 0.7, 1.0, 1.4, 1.8)), *_grid("its sign is wrong; give it positive to the left.", (-1.0,)),
-            *_grid("it is in g; give m/s^2.", (1 / 9.81,))]  # fmt: skip
+    clocks = [*_grid("", NEAR_ONE, (-0.06, -0.03, 0.0, 0.03, 0.06)),
+              *_grid("late", (0.95, 1.0, 1.05), (-0.25, -0.2, -0.15, 0.15, 0.2, 0.25))]  # fmt: skip
+    way = [
+        *clocks,
+        *_grid("it is in km/h; give m/s.", (1 / 3.6,), (0.0,)),
+        *_grid("it is in miles per hour; give m/s.", (0.447,), (0.0,)),
+        *_grid("check its unit; give m/s, along the car.", (0.1, 0.6, 1.6, 2.2, 3.6, 10.0), (0.0,)),
+    ]
+    turn = [
+        *clocks,
+        *_grid(SIGN, (-1.0,), (0.0,)),
+        *_grid("degrees", (40.0, 57.3), (0.0,)),
+        *_grid("yaw_rate is in degrees per second; give rad/s.", (DEGREE,), (0.0,)),
+        *_grid("check its unit; give rad/s.", (0.1, 0.5, 2.0, 5.0, 10.0), (0.0,)),
+    ]
+    course = [*_grid("", (0.7, 0.85, 1.0, 1.2)), *_grid("mirrored", (-1.0,)), *_grid("degrees", (DEGREE,))]
+    pull = [
+        *_grid("", (0.5, 0.7, 1.0, 1.4, 1.8)),
+        *_grid(SIGN, (-1.0,)),
+        *_grid("it is in g; give m/s^2.", (1 / 9.81,)),
+    ]
     found = {
         "way": _Comparison("positions and speed", way, WINDOW),
         "course": _Comparison("positions and yaw", course, WINDOW, 0.03),
         "turn": _Comparison("yaw and yaw rate", turn, WINDOW),
         "pull": _Comparison("lateral acceleration, speed and yaw rate", pull, 2, 0.5, 5.0 * EVIDENCE),
-        "wheel": _Delayed("command and wheel angle",
-            {"": NEAR_ONE, "the steering takes the command with the other sign, or wheel_angle's sign is wrong; both are positive to the "
-             "left.": (-1.0,), "it is in degrees; give rad.": (57.3,),
-             "it is the angle of the steering wheel; give that of the road wheels.": (11.0, 14.0, 17.0, 20.0)}, 0.03, 5.0 * EVIDENCE),
-        "steering": _Delayed("command and turning",
-            {"": GAINS if car else (*GAINS, 0.02, 0.05, 0.1, 6.0, 12.0, 24.0, 50.0), "sign": (-0.4, -0.7, -1.0, -1.5, -2.5)}
-            | ({"the car hardly turns, as if it were taken in degrees or not at all; give the actuator radians at the "
-                "road wheels.": (0.0, DEGREE, 0.05),
-                "the car turns many times as much, as if it were sent in degrees, or at the steering wheel; give the "
-                "actuator radians at the road wheels.": (8.0, 15.0, 30.0, 57.3)} if car else {}), 0.06, 1.3 * EVIDENCE),
-    }  # fmt: skip
+        "wheel": _Delayed("command and wheel angle", WHEELS, 0.03, 5.0 * EVIDENCE),
+        "steering": _Delayed("command and turning", KNOWN_CAR if car else UNKNOWN_CAR, 0.06, 1.3 * EVIDENCE),
+    }
     if car is not None:
         slip = 0.5 * car.mass * car.lf / (car.stiffness_rear * car.wheelbase)
         slips = [factor * slip for factor in (0.3, 0.6, 1.0, 1.6, 2.5)]

@@ -15,8 +15,8 @@ from adaptrack.base.files import write_atomically
 
 COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw", "called", "answer",
            "offset")  # fmt: skip
-"""A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time, the
-command that it answered, the distance from the path. SI units."""
+"""A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time,
+the command that it answered, the distance from the path. SI units."""
 CHUNK, LATE = 1.0, 1.0
 """s, between two writes, and that a sample may be late to be put where it belongs in time."""
 _log = logging.getLogger("adaptrack")
@@ -64,23 +64,25 @@ class Recorder:
             self._commands.clear()
             self._written = -math.inf
         self._commands.append((now, answer))
-        command = next((angle for since, angle in reversed(self._commands) if since <= time), math.nan)
+        command = next((angle for since, angle in reversed(self._commands) if since <= time + 1e-6), math.nan)
         self._rows.append((time, command, *values, now, answer, offset))
         if not now < self._due:
             self._due = now + CHUNK
             self._write(now - LATE)
 
     def _write(self, until: float) -> None:
-        """Append the rows up to a time (s) in their order; what is older than the last one written is left out."""
+        """Append the rows up to a time (s) in their order; what repeats a time, or comes too late, is left out."""
         if self._stream is None:
             return
         ready = sorted(row for row in self._rows if row[0] <= until)
         self._rows = [row for row in self._rows if row[0] > until]
-        lines = [",".join("" if math.isnan(v) else repr(v) for v in row) for row in ready if row[0] > self._written]
-        if ready:
-            self._written = max(self._written, ready[-1][0])
+        lines = []
+        for row in ready:
+            if row[0] > self._written + 1e-6:
+                self._written = row[0]
+                lines.append(",".join("" if math.isnan(value) else repr(value) for value in row) + "\n")
         try:
-            self._stream.write("".join(f"{line}\n" for line in lines))
+            self._stream.write("".join(lines))
             self._stream.flush()
         except OSError as error:
             _log.warning("adaptrack: %s cannot be written any more: %s.", self._journal, error.strerror)

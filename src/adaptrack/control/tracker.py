@@ -73,8 +73,8 @@ class Status(StrEnum):
     END = "end"
     """beyond the end of an open path: it goes on straight; stop the car, or give another path"""
     SLIDING = "sliding"
-    """the car slides or spins: its sideslip is beyond 8.5 degrees and more than a rolling turn has; a command is given all
-    the same, by a model that knows no sliding; slow down"""
+    """the car slides or spins: its sideslip is beyond 8.5 degrees and more than a rolling turn has; a command is given
+    all the same, by a model that knows no sliding; slow down"""
     REPEATED = "repeated"
     """a call at the time of the one before, or an earlier one: it is left out, the command is the same"""
 
@@ -153,8 +153,8 @@ class Tracker:
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
-        A file, .parquet or .csv, to which samples and commands are written as they come: a log that `identify`, `shadow`
-        and `check-loop` read. `close`, or the end of a ``with`` block, completes it.
+        A file, .parquet or .csv, to which samples and commands are written as they come: a log that `identify`,
+        `shadow` and `check-loop` read. `close`, or the end of a ``with`` block, completes it.
 
     Raises
     ------
