@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -30,8 +30,9 @@ LONGEST = 1.2
 """s, of a window; after a gap the comparison goes on behind it."""
 MEMORY = 12.0
 """s, after which a window counts 1/e."""
-EVIDENCE, SURE, AGAIN = 12.0, 5.0, 2
-"""-, see above; where the rest is sure; looks in a row at which it must be there."""
+EVIDENCE, SOON, SURE, AGAIN = 12.0, 9.0, 5.0, 2
+"""-, see above; of mistakes that nothing honest looks like; where what else is seen points there too; looks in a row at
+which it must be there."""
 SLOW, GENTLE, ROUGH, STEEP = 3.0, 2.5, 5.0, 6.0
 """m/s: slower, nothing is compared; m/s^2, lateral: of what says which point of the car is measured, of what says that
 frames differ, and beyond which no car need turn as it is steered."""
@@ -80,6 +81,8 @@ class _Comparison:
         size = self.rows.shape[1] + 1
         self.gram, self.full = np.zeros((size, size)), np.ones(size)
         self.seconds, self.count, self.repeated, self.usual, self.label = 0.0, 0.0, 0, 0, ""
+        self.sooner: frozenset[str] = frozenset()
+        """mistakes for which `SOON` is enough"""
 
     def add(self, x: Sequence[float] | Array, y: float, noise: float, time: float, sure: bool = False) -> str:
         """Take in a window; the mistake that is now certain, or nothing.
@@ -91,14 +94,15 @@ class _Comparison:
         self.gram *= left
         self.gram += each[:, None] * each
         self.seconds, self.count = self.seconds + time, self.count * left + 1.0
-        enough = SURE if sure else self.evidence
-        if self.misfits([self.usual])[0] < enough * self.overlap:  # no mistake can be better by so much
+        least = SURE if sure else SOON if self.sooner else self.evidence
+        if self.misfits([self.usual])[0] < least * self.overlap:  # no mistake can be better by so much
             self.repeated = 0
             return self.label
         misfits = self.misfits()
         self.usual = int(np.argmin(np.where(self.honest, misfits, np.inf)))
         best = int(np.argmin(np.where(self.honest, np.inf, misfits)))
         better = (misfits[self.usual] - misfits[best]) / (self.overlap * max(1.0, misfits[best] / self.count))
+        enough = least if sure or self.labels[best] in self.sooner else self.evidence
         self.repeated = self.repeated + 1 if better > enough else 0
         if self.repeated >= (1 if sure else AGAIN):
             self.label = self.labels[best]
@@ -181,9 +185,22 @@ GAINS = (0.25, 0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2, 3.2)
 """Of turning over what the believed car's steering asks for, that need not surprise."""
 
 
+FRAMES: dict[str, Callable[[float], float]] = {
+    "yaw is in degrees; give it in radians.": lambda yaw: yaw * DEGREE,
+    "y is mirrored against yaw (a left-handed frame, such as NED?); give x, y, yaw and yaw_rate in axes with y and "
+    "angles positive to the left.": lambda yaw: -yaw,
+    "yaw is counted clockwise from north (y); give it anticlockwise from x: pi/2 - yaw.":
+        lambda yaw: 0.5 * math.pi - yaw,
+    "yaw is counted clockwise from north, in degrees; give pi/2 - yaw pi/180.":
+        lambda yaw: 0.5 * math.pi - yaw * DEGREE,
+    "yaw is a quarter of a turn too large; count it from x.": lambda yaw: yaw - 0.5 * math.pi,
+    "yaw is a quarter of a turn too small; count it from x.": lambda yaw: yaw + 0.5 * math.pi,
+    "yaw is half a turn off; give the direction of the car's front.": lambda yaw: yaw + math.pi,
+}  # fmt: skip
+"""Mistakes of the yaw, and the direction of motion that they would mean."""
 SIGN = "its sign is wrong; give it positive to the left."
-_AGAINST = {"sign": (-0.4, -0.7, -1.0, -1.5, -2.5)}
-KNOWN_CAR = {
+_AGAINST: dict[str, tuple[float, ...]] = {"sign": (-0.4, -0.7, -1.0, -1.5, -2.5)}
+KNOWN_CAR: dict[str, tuple[float, ...]] = {
     "": GAINS,
     "the car hardly turns, as if it were taken in degrees or not at all; give the actuator radians at the road wheels.":
         (0.0, DEGREE, 0.05),
@@ -191,7 +208,7 @@ KNOWN_CAR = {
     "radians at the road wheels.": (8.0, 15.0, 30.0, 57.3),
 } | _AGAINST  # fmt: skip
 UNKNOWN_CAR = {"": (0.02, 0.05, 0.1, *GAINS, 6.0, 12.0, 24.0, 50.0)} | _AGAINST
-WHEELS = {
+WHEELS: dict[str, tuple[float, ...]] = {
     "": NEAR_ONE,
     "the steering takes the command with the other sign, or wheel_angle has it; both are positive to the left.": (
         -1.0,
@@ -220,7 +237,8 @@ class InputCheck:
         self._labels: set[str] = set()
         self._ticks: deque[_Tick] = deque(maxlen=HISTORY)
         self._asked: deque[tuple[float, float, float]] = deque(maxlen=40)  # time, integrals of turning and command
-        self._sums, self._last = _Sums(), ()
+        self._sums = _Sums()
+        self._last: tuple[float, ...] = ()
         self._began = self._command = self._lagged = 0.0
         self._first = 0.0, 0.0
         self._t = self._now = self._tick = -math.inf
@@ -246,6 +264,8 @@ class InputCheck:
         command: rad, in force from now on.
         """
         before = len(self.suspect)
+        if now < self._now - LONGEST:  # the clock was set back
+            self._t = -math.inf
         self._check_clock(now, pose, speed)
         if math.isfinite(speed):
             self._advance(now, speed, command if math.isfinite(command) else 0.0)
@@ -380,7 +400,7 @@ class InputCheck:
         turned, gone = math.remainder(yaw - self._origin, math.tau), math.remainder(course - self._origin, math.tau)
         self._courses.append((course, yaw))
         if max(abs(turned), abs(gone)) < 1.5 and abs(rate * last.speed) < GENTLE:
-            noise = 0.01 + 0.06 / far + 0.5 * abs(rolling)
+            noise = 0.008 + 0.045 / far + 0.3 * abs(rolling)
             if self._relations["course"].add((turned,), gone, noise, last.time):
                 self._explain_course()
         self._range = [min(self._range[0], yaw), max(self._range[1], yaw)]
@@ -398,21 +418,9 @@ class InputCheck:
 
     def _explain_course(self) -> None:
         """Say what of yaw and positions is wrong, by what makes both agree."""
-        options = {
-            "yaw is in degrees; give it in radians.": lambda yaw: yaw * DEGREE,
-            "y is mirrored against yaw (a left-handed frame, such as NED?); give x, y, yaw and yaw_rate in axes with y "
-            "and angles positive to the left.": lambda yaw: -yaw,
-            "yaw is counted clockwise from north (y); give it anticlockwise from x: pi/2 - yaw.":
-                lambda yaw: 0.5 * math.pi - yaw,
-            "yaw is counted clockwise from north, in degrees; give pi/2 - yaw pi/180.":
-                lambda yaw: 0.5 * math.pi - yaw * DEGREE,
-            "yaw is a quarter of a turn off; count it anticlockwise from x.": lambda yaw: yaw - 0.5 * math.pi,
-            "yaw is a quarter of a turn off: count it anticlockwise from x.": lambda yaw: yaw + 0.5 * math.pi,
-            "yaw is half a turn off: give the direction of the car's front.": lambda yaw: yaw + math.pi,
-        }  # fmt: skip
         misses = {
             words: max(abs(math.remainder(course - made(yaw), math.tau)) for course, yaw in self._courses)
-            for words, made in options.items()
+            for words, made in FRAMES.items()
         }
         words = min(misses, key=lambda each: misses[each])
         if misses[words] > 0.25:
@@ -574,12 +582,13 @@ def _relations(car: Vehicle | None) -> dict[str, _Comparison]:
     ]
     found = {
         "way": _Comparison("positions and speed", way, WINDOW),
-        "course": _Comparison("positions and yaw", course, WINDOW, 0.03),
+        "course": _Comparison("positions and yaw", course, WINDOW, 0.02),
         "turn": _Comparison("yaw and yaw rate", turn, WINDOW),
         "pull": _Comparison("lateral acceleration, speed and yaw rate", pull, 2, 0.5, 5.0 * EVIDENCE),
         "wheel": _Delayed("command and wheel angle", WHEELS, 0.03, 5.0 * EVIDENCE),
         "steering": _Delayed("command and turning", KNOWN_CAR if car else UNKNOWN_CAR, 0.06, 1.3 * EVIDENCE),
     }
+    found["steering"].sooner = frozenset(KNOWN_CAR) - {"sign"}
     if car is not None:
         slip = 0.5 * car.mass * car.lf / (car.stiffness_rear * car.wheelbase)
         slips = [factor * slip for factor in (0.3, 0.6, 1.0, 1.6, 2.5)]

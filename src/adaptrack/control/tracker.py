@@ -240,6 +240,7 @@ class Tracker:
         self._hold(wheel_angle)
         self._started = False
         self._last, self._between = -math.inf, self.period
+        self._tracked = Tracked(self._command, Status.HELD, *NOWHERE)
         self._answered: Tracked | None = None
         self._speed, self._yaw_rate = math.nan, 0.0
         self._pose, self._newest, self._jumps = NOWHERE, -math.inf, 0
