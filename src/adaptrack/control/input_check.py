@@ -244,7 +244,7 @@ class InputCheck:
         self._t = self._now = self._tick = -math.inf
         self._pose: tuple[float, ...] = ()
         self._askew = self._steps = self._degrees = 0
-        self._calm = 0.0
+        self._calm, self._slips, self._jumped = 0.0, 0, False
         self._mounting, self._straight = 0.0, 0
         self._origin, self._confirmed = math.nan, False
         self._agreed, self._range = 0, [math.inf, -math.inf]
@@ -302,7 +302,7 @@ class InputCheck:
     def _advance(self, now: float, speed: float, command: float) -> None:
         """Go on with what the commands ask for."""
         step = now - self._now
-        if not 0.0 < step < LONGEST:
+        if not 0.0 < step < LONGEST or not self._asked:
             self._asked.clear()
             self._asked.append((now, 0.0, 0.0))
             self._began, self._command, self._lagged = now, command, 0.0
@@ -340,6 +340,10 @@ class InputCheck:
         last, sums = self._ticks[-1], self._sums
         means = [each / sums.time for each in sums.values]
         turned = math.remainder(pose[2] - last.yaw, math.tau) if math.isfinite(pose[2] + last.yaw) else math.nan
+        jump = math.hypot(pose[0] - last.x, pose[1] - last.y) > 2.5 * abs(sums.values[0]) + 0.5
+        if jump and not self._jumped:  # one that stays is a matter of units
+            self._ticks.clear()
+        self._jumped = jump
         self._ticks.append(_Tick(t, sums.time, *pose, means[0], turned, sums.values[0], *means[1:]))
         self._sums, self._tick = _Sums(), t
         if len(self._ticks) > 3:
@@ -551,8 +555,11 @@ class InputCheck:
         rolling = (self.vehicle.lr if self.vehicle else 1.5) * rate / last.speed
         slip = abs(self.sideslip) - unsure
         if slip > SLIDING and abs(self.sideslip - rolling) - unsure > SLIDES:
-            self.sliding, self._calm = True, 0.0
-        elif self.sliding:
+            self._slips, self._calm = self._slips + 1, 0.0
+            self.sliding |= self._slips >= (1 if math.isfinite(last.vy) else 3)  # a position that jumps is in two
+            return
+        self._slips = 0
+        if self.sliding:
             self._calm = self._calm + last.time if not slip > NOT_SLIDING else 0.0
             self.sliding = self._calm < RELEASE
 
