@@ -360,9 +360,9 @@ class TrackerTarget:
                 return wrong
         if told.status is Status.REVERSE and not self.tracker._speed < -STANDING:
             return "reverse, and the car drives forwards"
-        if told.status in (Status.OK, Status.ESTIMATED, Status.END) and not all(map(math.isfinite, told[2:])):
+        if told.status in (Status.OK, Status.ESTIMATED, Status.END) and not all(map(math.isfinite, told[2:5])):
             return f"status {told.status.value} with {told}"  # far off the path there is no foot
-        if told.status is Status.HELD and self.good_for >= SETTLED:
+        if told.status is Status.HELD and self.good_for >= SETTLED and not told.suspect:
             return f"held after {self.good_for} good calls"
         return None
 

@@ -35,6 +35,9 @@ INERTIAS = (0.1, 10.0)
 STIFFNESSES = (1.0, 150.0)
 """1/rad, of a tyre's cornering stiffness over its static load; per degree it is 0.1 to 0.5."""
 
+FASTEST_RATE = 10.0
+"""rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
+
 _DATA = SHIPPED
 
 
@@ -163,11 +166,21 @@ class Steering(Record):
     dead_time: float | None = Field(
         default=None, ge=0, le=10, description="s, from a command until the wheels begin to move"
     )
-    rate: float | None = Field(default=None, gt=0, le=100, description="rad/s, fastest change of the angle")
+    rate: float | None = Field(default=None, gt=0, description="rad/s, fastest change of the angle")
     limit: float | None = Field(default=None, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
     ratio: float | None = Field(
         default=None, gt=0, le=100, description="-, angle of the steering wheel over that of the road wheels"
     )
+
+    @field_validator("rate")
+    @classmethod
+    def _rate_is_in_radians_at_the_road_wheels(cls, rate: float | None) -> float | None:
+        if rate is not None and rate > FASTEST_RATE:
+            raise ValueError(
+                f"no road wheels turn at {rate:g} rad/s; cars have 0.3 to 1. Of degrees per second give "
+                f"{math.radians(rate):.2g}; of a rate at the steering wheel, that over the ratio."
+            )
+        return rate
 
 
 class Body(Record):

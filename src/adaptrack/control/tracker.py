@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import logging
 import math
+import os
+import weakref
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +23,11 @@ from pydantic import InstanceOf
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import MPC, Controller, command_of
+from adaptrack.control.controllers import MPC, Controller, MPCCommand, command_of
+from adaptrack.control.input_check import InputCheck
 from adaptrack.control.kalman import KalmanFilter
+from adaptrack.control.recording import Recorder
+from adaptrack.core.estimators.learning import BELIEFS
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import RoadAhead, foot_near, foot_of_car
 
@@ -67,6 +72,9 @@ class Status(StrEnum):
     NaN): a command is given all the same; stop the car, or give another path"""
     END = "end"
     """beyond the end of an open path: it goes on straight; stop the car, or give another path"""
+    SLIDING = "sliding"
+    """the car slides or spins: its sideslip is beyond 8.5 degrees and more than a rolling turn has; a command is given
+    all the same, by a model that knows no sliding; slow down"""
     REPEATED = "repeated"
     """a call at the time of the one before, or an earlier one: it is left out, the command is the same"""
 
@@ -83,6 +91,10 @@ class Tracked(NamedTuple):
     """rad, the car's heading less the path's; likewise"""
     station: float
     """m, arc length of the car's foot on the path, over all laps; likewise"""
+    belief: int | None = None
+    """how far what the controller learns can be trusted, a `BeliefState`; None where nothing is learned"""
+    suspect: tuple[str, ...] = ()
+    """sentences on inputs that contradict each other, since the tracker engaged; see `control.input_check`"""
 
 
 class _Pose(NamedTuple):
@@ -111,6 +123,12 @@ class _Sample(NamedTuple):
 
 
 NOWHERE = _Pose(math.nan, math.nan, math.nan)
+DOUBTFUL = {
+    2: "a learned quantity is at the end of its range: the car may be another than was thought",
+    3: "what is measured fits no car within what is believed",
+}
+"""States of the belief that are warned of, once each."""
+_STATE = BELIEFS.index("belief_state") if "belief_state" in BELIEFS else None
 _MOST = (FURTHEST, FURTHEST, FURTHEST, *(ABSURD,) * 5)
 
 
@@ -134,11 +152,16 @@ class Tracker:
         The speed that is planned along it; without one the present speed is expected to stay.
     furthest : float
         From the path, beyond which the status says so.
+    record : path, optional
+        A file, .parquet or .csv, to which samples and commands are written as they come: a log that `identify`,
+        `shadow` and `check-loop` read. `close`, or the end of a ``with`` block, completes it.
 
     Raises
     ------
     InvalidInput
-        When the controller has a scheduler, or the plan is not of this path.
+        When the controller has a scheduler, or the plan is not of this path, or the record has another suffix.
+    StorageError
+        When the record cannot be written.
     """
 
     @checked
@@ -149,6 +172,7 @@ class Tracker:
         *,
         plan: SpeedPlan | None = None,
         furthest: Annotated[Bound, "m"] = 10.0,
+        record: str | os.PathLike[str] | None = None,
     ) -> None:
         if controller.scheduler is not None:
             raise InvalidInput(
@@ -161,7 +185,11 @@ class Tracker:
         self._late = controller.estimator.late(controller.model) if self._filtered else 0  # type: ignore[attr-defined]
         self._car = controller.vehicle
         self._warned = False
+        self._doubted: set[int] = set()
         self._set_path(path, plan)
+        self._recorder = None if record is None else Recorder(record)
+        if self._recorder is not None:
+            weakref.finalize(self, self._recorder.close)
         self.engage()
 
     def _set_path(self, path: Road, plan: SpeedPlan | None) -> None:
@@ -184,12 +212,36 @@ class Tracker:
     def engage(self, wheel_angle: Annotated[Finite, "rad"] = 0.0) -> None:
         """Begin anew, from the angle that the wheels have: the first command is near it.
 
-        What a controller has learned of its car stays.
+        What a controller has learned of its car stays; what was said of the inputs is forgotten.
         """
+        self._check = InputCheck(self._car, self.period)
+        self._engage(wheel_angle)
+
+    def close(self) -> None:
+        """Complete the record; nothing where there is none.
+
+        Raises
+        ------
+        StorageError
+            When it cannot be written.
+        """
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _engage(self, wheel_angle: float) -> None:
+        """Begin anew; the check of the inputs goes on."""
         self.controller.restart()
         self._hold(wheel_angle)
         self._started = False
         self._last, self._between = -math.inf, self.period
+        self._tracked = Tracked(self._command, Status.HELD, *NOWHERE)
+        self._answered: Tracked | None = None
         self._speed, self._yaw_rate = math.nan, 0.0
         self._pose, self._newest, self._jumps = NOWHERE, -math.inf, 0
         self._placed = NOWHERE, -math.inf
@@ -257,7 +309,7 @@ class Tracker:
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
         *where, forward, rate, vy, pull, angle = map(_believable, rest, _MOST)
-        given = _Sample(taken, _Pose(*where), rate, vy, pull, angle)
+        given = sample = _Sample(taken, _Pose(*where), rate, vy, pull, angle)
         if abs(at - taken) > LONGEST_GAP:
             given = _Sample(math.nan, NOWHERE, *(math.nan,) * 4)
         if self._started and self._last - LONGEST_GAP <= at <= self._last:
@@ -266,12 +318,35 @@ class Tracker:
             self._speed = forward
         if self._started and (self._speed < -STANDING or abs(at - self._last) > LONGEST_GAP):
             self._restart()
-        return self._go_on(at, given) if self._started else self._begin(at, given)
+        before = self._command
+        tracked = self._go_on(at, given) if self._started else self._begin(at, given)
+        tracked = self._tracked = self._checked(at, sample, forward, tracked, before)
+        if self._recorder is not None:
+            values = forward, rate, vy, pull, angle, *where
+            self._recorder.add(taken, at, values, tracked.command, tracked.offset)
+        return tracked
+
+    def _checked(self, at: float, given: _Sample, speed: float, tracked: Tracked, before: float) -> Tracked:
+        """What a step gives, with what contradictory inputs and sliding make of it; before: the last command (rad)."""
+        check = self._check
+        new = check.add(given.t, at, given.pose, speed, given.yaw_rate, given.vy, given.lateral_acceleration,
+                        given.wheel_angle, tracked.command)  # fmt: skip
+        for sentence in new:
+            _log.warning("adaptrack: inputs contradict each other. %s", sentence)
+        status = tracked.status
+        if check.sliding and status in (Status.OK, Status.ESTIMATED, Status.REVERSE):
+            status = Status.SLIDING
+        if check.against_steering and tracked is not self._answered:  # steering on would drive it further away
+            most = 0.5 * self.period if self.controller.limits is None else self.controller.limits.move[1]
+            self._hold(before - min(max(before, -most), most))
+            status = Status.HELD
+        self._answered = tracked._replace(command=self._command, status=status, suspect=check.suspect)
+        return self._answered
 
     def _restart(self) -> None:
         """Forget the past but the command and the speed."""
         speed = self._speed
-        self.engage(self._command)
+        self._engage(self._command)
         self._speed = speed
 
     def _begin(self, at: float, given: _Sample) -> Tracked:
@@ -371,13 +446,26 @@ class Tracker:
         measured, fresh = self._measurement(given)
         state = measured if isinstance(self.controller, MPC) else measured[:4]
         self._ahead = RoadAhead(self.path, self._station, self._speeds())
-        answer = command_of(self.controller.step(state, self._forward, np.zeros(1), road=self._ahead), self._command)
+        answered = self.controller.step(state, self._forward, np.zeros(1), road=self._ahead)
+        answer, belief = command_of(answered, self._command), self._belief_of(answered)
         self._command = answer.angle
         offset, heading_error = self._beside(self._pose, self._station)
         status = self._status(offset, fresh, answer.held)
         station = math.nan if math.isnan(offset) else self._station
-        self._tracked = Tracked(self._command, status, offset, heading_error, station)
+        self._tracked = Tracked(self._command, status, offset, heading_error, station, belief)
         return self._tracked
+
+    def _belief_of(self, answer: object) -> int | None:
+        """The state of the belief (`BeliefState`), warned of where it is doubtful."""
+        learned = answer.learned if isinstance(answer, MPCCommand) else ()
+        if _STATE is None or not learned:
+            return None
+        state = int(learned[_STATE])
+        if state in DOUBTFUL and state not in self._doubted:
+            self._doubted.add(state)
+            _log.warning("adaptrack: the belief about the car is in doubt: %s; drive slower, see docs/learning.md.",
+                         DOUBTFUL[state])  # fmt: skip
+        return state
 
     def _measurement(self, given: _Sample | None) -> tuple[Array, bool]:
         """What the controller is given (`models.MEASURED`), and whether a new position is among it."""

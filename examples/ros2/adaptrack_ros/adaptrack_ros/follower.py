@@ -18,7 +18,7 @@ OK, WARN, ERROR = 0, 1, 2
 CLOCK_JUMP = 2.0
 """s: stamps that are older than the newest by more begin anew, as when a bag starts again."""
 STOPPING = {
-    at.Status.HELD: "no position for 3 s, or no solution",
+    at.Status.HELD: "no position for 3 s, no solution, or a steering of the other sign",
     at.Status.REVERSE: "the car rolls backwards",
     at.Status.OFF_PATH: "the car is too far from the path",
     at.Status.END: "the car is beyond the end of the path",
@@ -257,7 +257,8 @@ class Follower:
             "steering angle (rad)": f"{command.angle:.4f}",
             "speed (m/s)": f"{command.speed:.2f}",
         }
-        trouble = "; ".join(f"{what} left out: {why}" for what, why in self._trouble.items())
+        doubts = last.suspect if last else ()
+        trouble = "; ".join([*(f"{what} left out: {why}" for what, why in self._trouble.items()), *doubts])
         if not self._engaged:
             return OK, "not engaged", values
         if command.stopping:

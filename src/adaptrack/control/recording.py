@@ -1,0 +1,121 @@
+"""What a loop gave a tracker and what it answered, written while it runs, as a log that `identify` reads."""
+
+from __future__ import annotations
+
+import io
+import logging
+import math
+import os
+from collections import deque
+from pathlib import Path
+from typing import TextIO
+
+from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.files import write_atomically
+
+COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw", "called", "answer",
+           "offset")  # fmt: skip
+"""A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time,
+the command that it answered, the distance from the path. SI units."""
+CHUNK, LATE = 1.0, 1.0
+"""s, between two writes, and that a sample may be late to be put where it belongs in time."""
+_log = logging.getLogger("adaptrack")
+
+
+class Recorder:
+    """Writes rows to `path`, .csv or .parquet.
+
+    Rows are appended as text once a second, to the file itself or, for Parquet, to ``PATH.csv`` beside it, of which
+    `close` makes the Parquet file in one step. So a loop that is killed leaves all but its last two seconds behind, as
+    a CSV file; the next recorder to the same path puts that one aside as ``NAME-1.csv``.
+
+    Raises
+    ------
+    InvalidInput
+        When the suffix is another one.
+    StorageError
+        When the file cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        if self.path.suffix not in (".csv", ".parquet"):
+            raise InvalidInput(f"Tracker: record = {str(path)!r}: must end in .parquet or .csv.")
+        own = self.path.suffix == ".csv"
+        self._journal = self.path if own else self.path.with_name(self.path.name + ".csv")
+        self._rows: list[tuple[float, ...]] = []
+        self._commands: deque[tuple[float, float]] = deque([(-math.inf, math.nan)], maxlen=400)
+        self._written = self._due = -math.inf
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            if not own and self._journal.exists():
+                self._journal.replace(_free(self.path))
+            self._stream: TextIO | None = self._journal.open("w", encoding="utf-8", newline="\n")
+            self._stream.write(",".join(COLUMNS) + "\n")
+            self._stream.flush()
+        except OSError as error:
+            raise StorageError(f"Tracker: record = {str(path)!r}: cannot be written: {error.strerror}.") from error
+
+    def add(self, t: float, now: float, values: tuple[float, ...], answer: float, offset: float) -> None:
+        """Take a call: time of its sample and its own (s), the sample from ``speed`` to ``yaw``, what was answered."""
+        time = t if math.isfinite(t) else now
+        if now < self._due - 10.0 * CHUNK:  # the clock was set back
+            self._write(math.inf)
+            self._commands.clear()
+            self._written = -math.inf
+        self._commands.append((now, answer))
+        command = next((angle for since, angle in reversed(self._commands) if since <= time + 1e-6), math.nan)
+        self._rows.append((time, command, *values, now, answer, offset))
+        if not now < self._due:
+            self._due = now + CHUNK
+            self._write(now - LATE)
+
+    def _write(self, until: float) -> None:
+        """Append the rows up to a time (s) in their order; what repeats a time, or comes too late, is left out."""
+        if self._stream is None:
+            return
+        ready = sorted(row for row in self._rows if row[0] <= until)
+        self._rows = [row for row in self._rows if row[0] > until]
+        lines = []
+        for row in ready:
+            if row[0] > self._written + 1e-6:
+                self._written = row[0]
+                lines.append(",".join("" if math.isnan(value) else repr(value) for value in row) + "\n")
+        try:
+            self._stream.write("".join(lines))
+            self._stream.flush()
+        except OSError as error:
+            _log.warning("adaptrack: %s cannot be written any more: %s.", self._journal, error.strerror)
+            self._stream = None
+
+    def close(self) -> None:
+        """Write what is left; of a Parquet file, make it. A second call does nothing.
+
+        Raises
+        ------
+        StorageError
+            When the Parquet file cannot be written; the CSV file stays.
+        """
+        if self._stream is None:
+            return
+        self._write(math.inf)
+        if self._stream is not None:
+            self._stream.close()
+        self._stream = None
+        if self._journal == self.path:
+            return
+        import pyarrow
+        import pyarrow.csv
+        import pyarrow.parquet
+
+        floats = pyarrow.csv.ConvertOptions(column_types=dict.fromkeys(COLUMNS, pyarrow.float64()))
+        content = io.BytesIO()
+        pyarrow.parquet.write_table(pyarrow.csv.read_csv(self._journal, convert_options=floats), content)
+        write_atomically(self.path, content.getvalue())
+        self._journal.unlink()
+
+
+def _free(path: Path) -> Path:
+    """Where what a killed loop has left is put."""
+    numbers = (path.with_name(f"{path.stem}-{number}.csv") for number in range(1, 10_000))
+    return next(each for each in numbers if not each.exists())

@@ -1,0 +1,290 @@
+"""What a loop says of its own inputs: sign, unit, frame, clock, sliding; and what it leaves behind as a record."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.cars.vehicle import Steering, load_vehicle
+from adaptrack.cli import main
+from adaptrack.control import tracker as tracker_module
+from adaptrack.control.controllers import MPC, Learning, Stanley
+from adaptrack.control.input_check import InputCheck
+from adaptrack.control.recording import Recorder
+from adaptrack.control.tracker import Status, Tracker
+from adaptrack.identification.loop_check import check_loop
+from adaptrack.identification.reading import Reading, read_columns
+from adaptrack.road import Arc, Clothoid, Line, Road
+from foreign_loop import drive, on_road
+
+CAR = load_vehicle("paper")
+EASING = Clothoid(length=20.0, start_curvature=0.0, end_curvature=1 / 60)
+BEND = Road.from_segments(
+    [Line(length=25.0), EASING, Arc(length=60.0, curvature=1 / 60), Clothoid(length=20.0, start_curvature=1 / 60,
+     end_curvature=0.0), Line(length=30.0), Clothoid(length=20.0, start_curvature=0.0, end_curvature=-1 / 60),
+     Arc(length=60.0, curvature=-1 / 60), Line(length=100.0)], name="bends",
+)  # fmt: skip
+DEGREES = 180.0 / math.pi
+
+
+def tracker(**more):
+    return Tracker(MPC(CAR, profile="road", belief=Steering(lag=0.15, dead_time=0.0, rate=0.5)), BEND, **more)
+
+
+class Wrong:
+    """A tracker whose loop gives it wrong inputs."""
+
+    def __init__(self, own, change=lambda s: s, command=1.0, clock=1.0):
+        self.own, self.change, self.factor, self.clock = own, change, command, clock
+
+    def step(self, *sample, now, wheel_angle):
+        t, *rest = self.change(sample)
+        told = self.own.step(self.clock * t, *rest, now=self.clock * now, wheel_angle=wheel_angle)
+        return told._replace(command=told.command * self.factor)
+
+
+def replaced(place, made):
+    return lambda sample: (*sample[:place], made(sample[place]), *sample[place + 1 :])
+
+
+FAULTS = {
+    "steering sign": ({"command": -1.0}, "command: the car turns to the other side"),
+    "command taken as degrees": ({"command": 1.0 / DEGREES}, "command: the car hardly turns"),
+    "yaw in degrees": ({"change": replaced(3, lambda yaw: yaw * DEGREES)}, "yaw is in degrees"),
+    "yaw from north": ({"change": replaced(3, lambda yaw: 0.5 * math.pi - yaw)}, "clockwise from north"),
+    "yaw of a mirrored frame": ({"change": replaced(3, lambda yaw: -yaw)}, "y is mirrored"),
+    "speed in km/h": ({"change": replaced(4, lambda v: 3.6 * v)}, "it is in km/h"),
+    "yaw rate in deg/s": ({"change": replaced(5, lambda r: r * DEGREES)}, "yaw_rate is in degrees"),
+    "yaw rate's sign": ({"change": replaced(5, lambda r: -r)}, "yaw_rate: over half a second"),
+    "time in ms": ({"clock": 1e3}, "the time is in milliseconds"),
+}
+
+
+@pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS)
+def test_a_wrong_input_is_named_before_the_car_is_a_metre_off(fault, words, caplog):
+    own = tracker()
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        driven = drive(Wrong(own, **fault), BEND, 5.0, car=on_road(BEND, s=2.0), wheel_angle=0.0)
+    said = [k for k, (_, told) in enumerate(driven.calls) if told.suspect]
+    assert said
+    assert words in driven.calls[said[0]][1].suspect[0]
+    assert abs(driven.offset[int(driven.calls[said[0]][0] / 0.02)]) < 1.0
+    assert [words in record.message for record in caplog.records].count(True) == 1
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_honest_inputs_are_not_doubted(seed):
+    """Late, jittered, lost, repeated and wrapped, with an offset of the yaw and noise of the speed."""
+    mpc = MPC(CAR, profile="road", belief="unknown", learning=Learning())
+    honest = Wrong(Tracker(mpc, BEND), replaced(3, lambda yaw: yaw + 0.01))
+    driven = drive(
+        honest, BEND, 15.0, car=on_road(BEND, s=2.0), jitter=(0.03, 0.07), missing=7, late=0.1, reorder=0.05, repeat=5,
+        wrapped=True, noise=(0.03, 0.03, 0.003, 0.15, 0.01), seed=seed,
+    )  # fmt: skip
+    assert {told.suspect for _, told in driven.calls} == {()}
+    assert Status.SLIDING not in driven.statuses
+
+
+def test_a_wrong_steering_sign_ends_the_steering_and_engaging_begins_anew():
+    own = tracker()
+    driven = drive(Wrong(own, command=-1.0), BEND, 4.0, car=on_road(BEND, s=20.0), wheel_angle=0.0)
+    held = [told for _, told in driven.calls if told.status is Status.HELD]
+    assert len(held) > 10
+    assert held[-1].command == 0.0
+    assert np.abs(np.diff([told.command for told in held])).max() < 0.5 * 0.05 + 1e-9
+    own.engage()
+    again = own.step(0.0, 25.0, 0.0, 0.0, 15.0, 0.0)
+    assert (again.status, again.suspect) == (Status.OK, ())
+
+
+def log_of_a_drive(path):
+    with tracker(record=path) as own:
+        drive(own, BEND, 15.0, car=on_road(BEND, s=2.0), wheel_angle=0.0, noise=(0.01, 0.01, 0.001, 0.0, 0.002))
+    return read_columns(path, Reading())
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("record") / "loop.parquet"
+    return path, log_of_a_drive(path)
+
+
+def with_columns(columns, **changed):
+    return replace(columns, values={**columns.values, **changed})
+
+
+def test_a_record_is_a_log_whose_inputs_agree(recorded):
+    _, columns = recorded
+    assert {"time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw"} <= set(
+        columns.values
+    )
+    assert np.all(np.diff(columns.values["time"]) > 0.0)
+    assert columns.values["time"].size == 300
+    found = check_loop(columns, CAR)
+    assert found.contradictions == ()
+    assert sum(each.seconds > 5.0 for each in found.found) == 5
+
+
+@pytest.mark.parametrize("late", [0.2, -0.2])
+def test_clocks_that_are_apart_are_told_where_a_third_signal_shows_it(recorded, late):
+    _, columns = recorded
+    time, rate = columns.values["time"], columns.values["yaw_rate"]
+    said = check_loop(with_columns(columns, yaw_rate=np.interp(time - late, time, rate)), CAR).contradictions
+    assert len(said) == 1
+    assert "yaw and yaw_rate are of clocks that are some 0.2 s apart" in said[0]
+
+
+@pytest.mark.parametrize(("ahead", "axle"), [(-CAR.lr, "rear axle"), (CAR.lf, "front axle")])
+def test_positions_of_an_axle_are_told_from_those_of_the_centre_of_mass(ahead, axle):
+    """A log of slow bends, where the slip of the tyres is small beside the distance of the axle."""
+    columns = slow_bends()
+    x, y, yaw = (columns.values[name] for name in ("x", "y", "yaw"))
+    moved = with_columns(columns, x=x + ahead * np.cos(yaw), y=y + ahead * np.sin(yaw))
+    assert check_loop(columns, CAR).contradictions == ()
+    assert [axle in sentence for sentence in check_loop(moved, CAR).contradictions] == [True]
+
+
+def slow_bends():
+    car, rows, noise = on_road(BEND, speed=6.0), [], random.Random(1)
+    for k in range(1200):
+        command = 0.12 * math.sin(0.05 * k * 0.5) if k % 300 > 100 else 0.0
+        pose = (car.x + noise.gauss(0.0, 0.02), car.y + noise.gauss(0.0, 0.02), car.yaw + noise.gauss(0.0, 0.002))
+        rows.append((0.05 * k, command, car.speed, car.yaw_rate + noise.gauss(0.0, 0.005), *pose))
+        for _ in range(10):
+            car.step(command, 0.005)
+    names = ("time", "command", "speed", "yaw_rate", "x", "y", "yaw")
+    return read_columns(dict(zip(names, np.array(rows).T, strict=True)), Reading())
+
+
+# -- sliding ----------------------------------------------------------------------------------------------------------
+def slides(speed, known, sideslip, seconds=6.0):
+    """When the check says sliding: a car whose sideslip goes up at 3 s and down at 5 s, within a tenth of a second."""
+    check, x, y, yaw, told, noise = InputCheck(CAR, 0.05), 0.0, 0.0, 0.0, [], random.Random(2)
+    for k in range(round(seconds / 0.05)):
+        t = 0.05 * k
+        beta = sideslip * float(np.clip(min((t - 3.0) / 0.1, (5.0 - t) / 0.1 + 1.0), 0.0, 1.0))
+        measured = speed * math.tan(beta) if known else math.nan
+        where = x + noise.gauss(0.0, 0.03), y + noise.gauss(0.0, 0.03), yaw + noise.gauss(0.0, 0.003)
+        check.add(t, t, where, speed, 0.12, measured)
+        told.append(check.sliding)
+        x += 0.05 * speed * math.cos(yaw + beta) / math.cos(beta)
+        y += 0.05 * speed * math.sin(yaw + beta) / math.cos(beta)
+        yaw += 0.05 * 0.12
+    assert check.suspect == ()
+    return 0.05 * np.flatnonzero(told)
+
+
+@pytest.mark.parametrize(("known", "most"), [(True, 0.5), (False, 1.0)])
+@pytest.mark.parametrize("sideslip", [0.25, -0.25, 0.7])
+def test_sliding_is_told_in_time_and_is_over_when_it_is(known, most, sideslip):
+    times = slides(15.0, known, sideslip)
+    assert 3.0 < times[0] < 3.0 + most
+    assert np.diff(times).max() < 0.06  # without a pause
+    assert 5.2 < times[-1] < 5.9
+
+
+def test_neither_a_small_sideslip_nor_a_slow_car_slides():
+    assert slides(15.0, True, 0.1).size == slides(15.0, False, 0.1).size == 0
+    assert slides(2.5, True, 0.3).size == 0
+
+
+def test_a_tracker_says_that_the_car_slides():
+    own = Tracker(Stanley(CAR, period=0.05), Road.from_segments([Line(length=400.0)]))
+    for k in range(80):
+        slip = 3.0 if k >= 60 else 0.0
+        told = own.step(0.05 * k, 0.75 * k, 0.05 * slip * max(k - 60, 0), 0.0, 15.0, 0.0, lateral_velocity=slip)
+        assert told.status is (Status.SLIDING if k >= 68 else Status.OK) or 60 <= k < 68
+
+
+# -- the belief -------------------------------------------------------------------------------------------------------
+def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch, caplog):
+    monkeypatch.setattr(tracker_module, "_STATE", 0)
+    own = Tracker(MPC(CAR, profile="road", belief="unknown", learning=Learning()), BEND)
+    monkeypatch.setattr(
+        own.controller, "step", lambda *given, step=own.controller.step, **more: step(*given, **more)._replace(
+            learned=(2.0,)
+        )
+    )  # fmt: skip
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        told = [own.step(0.05 * k, 0.75 * k, 0.0, 0.0, 15.0, 0.0).belief for k in range(4)]
+    assert told == [2] * 4
+    assert [record.message.count("at the end of its range") for record in caplog.records] == [1]
+
+
+# -- the record -------------------------------------------------------------------------------------------------------
+def test_a_killed_loop_leaves_what_it_had_and_the_next_one_puts_it_aside(tmp_path):
+    path = tmp_path / "loop.parquet"
+    killed = Recorder(path)
+    for k in range(200):
+        killed.add(0.05 * k, 0.05 * k, (10.0, *(math.nan,) * 7), 0.01, 0.0)
+    assert not path.exists()
+    killed._stream.close()
+    Recorder(path).close()
+    left = read_columns(tmp_path / "loop-1.csv", Reading())
+    assert left.values["time"][-1] > 9.95 - 2.1
+    assert path.exists()
+    assert not (tmp_path / "loop.parquet.csv").exists()
+
+
+def test_late_samples_stand_at_their_own_time_beside_the_command_that_was_in_force(tmp_path):
+    recorder = Recorder(tmp_path / "loop.csv")
+    for k in range(60):
+        age = 0.15 if k % 3 == 0 else 0.05
+        recorder.add(0.05 * k - age, 0.05 * k, (10.0, *(math.nan,) * 7), 0.001 * k, 0.0)
+    recorder.close()
+    recorder.close()
+    log = read_columns(tmp_path / "loop.csv", Reading())
+    time, command = log.values["time"] - 0.15, log.values["command"]  # a log begins at 0
+    assert np.all(np.diff(time) > 0.0)
+    known = time >= 0.0
+    np.testing.assert_allclose(command[known], 0.001 * np.floor(time[known] / 0.05 + 1e-9), atol=1e-9)
+
+
+def test_a_record_of_another_kind_or_place_is_refused(tmp_path):
+    with pytest.raises(InvalidInput, match=r"must end in \.parquet or \.csv"):
+        tracker(record=tmp_path / "loop.txt")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"):
+        tracker(record=tmp_path / "file" / "loop.csv")
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+def run(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr("sys.argv", ["adaptrack", *map(str, arguments)])
+    code = main()
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_check_loop_answers_first_and_by_its_exit_code(monkeypatch, capsys, recorded):
+    path, _ = recorded
+    code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--vehicle", "paper")
+    assert code == 0
+    assert out.startswith("No contradiction, in 5 of 8 comparisons")
+    code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--flip", "yaw_rate", "--json")
+    assert code == 3
+    assert "yaw_rate: " in json.loads(out)["contradictions"][0], out
+    code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--units", "speed=km/h")
+    assert code == 3
+    assert out.startswith("Inputs contradict each other. speed: the positions move 3.59 times")
+
+
+def test_check_loop_says_what_a_log_lacks(monkeypatch, capsys, tmp_path):
+    (tmp_path / "log.csv").write_text("t,steer\n" + "\n".join(f"{0.1 * k},0" for k in range(50)))
+    code, _, err = run(monkeypatch, capsys, "check-loop", tmp_path / "log.csv")
+    assert code == 2
+    assert "no column for speed" in err
+
+
+def test_a_steering_rate_in_degrees_is_refused_with_what_it_would_be():
+    with pytest.raises(
+        InvalidInput, match=r"rate = 30: no road wheels turn at 30 rad/s.*degrees per second give 0\.52"
+    ):
+        Steering(rate=30)
