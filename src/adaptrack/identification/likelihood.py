@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
@@ -32,8 +33,8 @@ SETTLING = 1.0
 """s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
 GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
 """s to either side over which the changes of the wind are averaged; least share of their mean square."""
-WIDER = 3.0
-"""Factor on the most likely spread of the gusts."""
+LEAST_OF_SPLINE = 20
+"""Samples of a segment whose measured wheel angle is smoothed."""
 BLOCK = 4.0
 """s, of the scores that are summed before their scatter is taken: longer than what innovations may be correlated."""
 
@@ -50,6 +51,8 @@ class Likelihood:
         rows = np.zeros((len(kernel.ROW), log.samples))
         for name in ("time", "command", "speed", *OUTPUTS):
             rows[kernel.ROW._fields.index(name)] = getattr(log, name)
+        if not log.commanded:
+            rows[kernel.ROW.command] = _smoothed(log)
         rows[kernel.ROW.begins] = log.begins
         rows[kernel.ROW.used] = 1.0 if used is None else used
         self._rows = rows
@@ -67,15 +70,15 @@ class Likelihood:
         """Which quantities can change what is predicted."""
         silent = set()
         for output, names in (
-            ("vy", ("noise_vy",)), ("acceleration", ("noise_acceleration", "acceleration_offset")),
+            ("vy", ("noise_vy", "vy_ahead", "vy_turned")), ("acceleration", ("noise_acceleration", "acceleration_offset")),
             ("yaw", ("noise_yaw",)), ("wheel", ("noise_wheel", "wheel_offset")),
         ):  # fmt: skip
             if not self.present[output]:
                 silent |= set(names)
-        if not (self.present["vy"] or self.present["acceleration"]):
-            silent |= {"push_spread"}
         if not self.log.commanded:
             silent |= {"delay", "lag_share", "rate"}
+        elif not self.present["wheel"]:
+            silent |= {"lateness"}
         return np.array([each.name not in silent for each in QUANTITIES])
 
     def values(self, z: Array) -> Array:
@@ -96,10 +99,8 @@ class Likelihood:
             "shape_factor": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
             "wind_angle_limit": car.wind_angle_limit,
-            "push_time": PUSH_TIME,
+            "push_time": PUSH_TIME, "wind_rise": value["wind_smoothness"] * value["wind_time"],
         }  # fmt: skip
-        if not (self.present["vy"] or self.present["acceleration"]):
-            derived["push_spread"] = 0.0
         named = value | derived
         return np.array([named[name] for name in self._kernel.Quantities._fields])
 
@@ -117,18 +118,6 @@ class Likelihood:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
         self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
-
-    def widen_gusts(self, z: Array) -> Array:
-        """Keep the wind's spread at `WIDER` times that of a point; the point there.
-
-        Gusts have longer tails than a Gaussian process. One that is as likely as can be shrinks them, and leaves the
-        driver's answer to them to the tyres: in closed loop the front axle then looks softer than it is.
-        """
-        place = INDEX["wind_spread"]
-        self.median[place] = WIDER * self.values(z)[place]
-        self.spread[place] = 0.0
-        self.free = self.free[self.free != place]
-        return np.where(np.arange(z.size) == place, 0.0, z)
 
     def follow_gusts(self, z: Array) -> None:
         """Let the spread of the wind's noise follow how much the wind changes along the log."""
@@ -203,6 +192,19 @@ class Likelihood:
         variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)  # never more than was believed before
         widened = np.sqrt(variance / np.diag(inverse))
         return widened[:, None] * inverse * widened
+
+
+def _smoothed(log: Log) -> Array:
+    """(n,) the measured wheel angle without its noise and steps, which would pass for steering.
+
+    Splines of each segment, as smooth as cross-validation finds best (G. Wahba, *Spline Models for Observational Data*,
+    1990, chapter 4).
+    """
+    out = log.command.copy()
+    for rows in np.split(np.arange(log.samples), np.flatnonzero(log.begins)[1:]):
+        if rows.size > LEAST_OF_SPLINE and np.ptp(log.command[rows]) > 0.0:
+            out[rows] = make_smoothing_spline(log.time[rows], log.command[rows])(log.time[rows])
+    return out
 
 
 def _window_mean(time: Array, values: Array, half: float) -> Array:
