@@ -1,12 +1,12 @@
 """Whether the intervals of `identify` are true on logs made by a plant that is not the model of the fit.
 
-    python benchmarks/identifying_foreign.py [--logs 300] [--seed 50000] [--as-believed] [--flags] [--rows FILE] [--json]
-    python benchmarks/identifying_foreign.py --factors FILE [--rows FILE]
+    python benchmarks/identifying_foreign.py [--logs 300] [--seed 50000] [--as-believed] [--flags] [--rows FILE]
+    python benchmarks/identifying_foreign.py --raw --factors FILE [--rows FILE]
 
 The plant has four wheels with load transfer, tyres of a brush or a curved Magic Formula with relaxation, stiffness that
 grows less than the load, a gust of one of three spectra (smooth of second order, Ornstein-Uhlenbeck, bursts of
-1 - cos) with one of three ratios of turning moment to side force (0, 1, 2.5 times the believed one), bank to 6 %, half
-of it with the bends in half of the logs, white yaw acceleration. A driver who looks ahead steers it for 120 s along
+1 - cos) with one of three ratios of turning moment to side force (0, 1, 2.5 times the believed one), bank to 6 %, in
+half of the logs partly with the bends, white yaw acceleration. A driver who looks ahead steers it for 120 s along
 bends and lane changes. Angles and yaw rate are quantised; the inertial unit is late by 0 to 0.3 s against a logged wheel
 angle, and in half of the logs with a command alone. A log holds a command, a wheel angle, or both; lateral velocity
 (at a place of its own, turned a little) and acceleration in some.
@@ -24,7 +24,7 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,12 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.identification import RandomCar, calibration, random_car
 from adaptrack.identification.from_log import fitted, prepare, reported
 
-SPECTRA, LEVERS, TYRES, SIGNALS = ("smooth", "ou", "bursts"), (0.0, 1.0, 2.5), ("brush", "magic"), ("command", "both", "wheel")
+SPECTRA, LEVERS, TYRES, SIGNALS = (
+    ("smooth", "ou", "bursts"),
+    (0.0, 1.0, 2.5),
+    ("brush", "magic"),
+    ("command", "both", "wheel"),
+)
 DURATION, STEP, GRAVITY = 120.0, 0.005, 9.80665
 NEAR_DELAY, HALF, NORMAL_90 = 0.03, 0.5, 1.6448536269514722
 """s; share of the spread before; half width of 90 %."""
@@ -56,7 +61,7 @@ def _tyre(law: int, slip: float, load: float, stiffness: float, friction: float)
 
 
 @numba.njit
-def _slope(x, d, law, p, v, push, load_side, load_turn, target, curvature):  # noqa: ANN001, ANN202, PLR0913
+def _slope(x, d, law, p, v, push, load_side, load_turn, target, curvature):
     """Of v_y, yaw rate, four slips, felt a_y, wheel angle, yaw, lateral error, heading error."""
     mass, inertia, lf, lr, front, rear, relaxation, friction, height, track, share, lag, rate = p
     wheelbase = lf + lr
@@ -88,13 +93,13 @@ def _slope(x, d, law, p, v, push, load_side, load_turn, target, curvature):  # n
 
 
 @numba.njit
-def _driven(law, p, speed, curvature, aside, wind, bank, jolt, air, dead, bias, every, ahead, gradient, delay, turn):  # noqa: ANN001, ANN202, PLR0913
+def _driven(law, p, speed, curvature, aside, wind, bank, jolt, air, dead, bias, every, ahead, gradient, delay, turn):
     """(n, 13): the state, the acceleration felt at the centre of mass and the command, at every step."""
     side, moment, limit = air
     steps = speed.size
     out, x, command = np.zeros((steps, 13)), np.zeros(11), 0.0
     d = np.zeros((4, 11))
-    wheelbase, late = p[2] + p[3], int(round(dead / STEP))
+    wheelbase, late = p[2] + p[3], round(dead / STEP)
     for k in range(steps):
         v = speed[k]
         if k % every == 0:
@@ -111,7 +116,9 @@ def _driven(law, p, speed, curvature, aside, wind, bank, jolt, air, dead, bias, 
         angle = min(max(angle, -limit), limit)
         pressure = v * v + w * w
         push = GRAVITY * bank[k]
-        felt = _slope(x, d[0], law, p, v, push, side * pressure * angle, moment * pressure * angle, delayed, curvature[k])
+        felt = _slope(
+            x, d[0], law, p, v, push, side * pressure * angle, moment * pressure * angle, delayed, curvature[k]
+        )
         out[k, :11], out[k, 11] = x, felt
         for i, h in ((1, 0.5), (2, 0.5), (3, 1.0)):
             _slope(x + h * STEP * d[i - 1], d[i], law, p, v, push, side * pressure * angle, moment * pressure * angle,
@@ -127,7 +134,9 @@ def _ornstein_uhlenbeck(rng: np.random.Generator, n: int, tau: float) -> np.ndar
     from scipy.signal import lfilter
 
     kept = math.exp(-STEP / tau)
-    return lfilter([math.sqrt(1.0 - kept**2)], [1.0, -kept], np.append(rng.standard_normal(), rng.standard_normal(n - 1)))
+    return lfilter(
+        [math.sqrt(1.0 - kept**2)], [1.0, -kept], np.append(rng.standard_normal(), rng.standard_normal(n - 1))
+    )
 
 
 def gust(rng: np.random.Generator, spectrum: str, n: int) -> np.ndarray:
@@ -182,7 +191,9 @@ def foreign_log(seed: int, as_believed: bool) -> tuple[RandomCar, dict[str, Any]
     speed = np.clip(speed, 5.0, 33.0)
     curvature, aside = _bend(rng, n, speed)
     lift = rng.uniform(0.0, 0.15) * (rng.random() < 0.5)
-    bank = np.clip(rng.uniform(0.0, 0.03) * _smooth_noise(rng, n, 3.0) + lift * speed**2 * curvature / GRAVITY, -0.06, 0.06)
+    bank = np.clip(
+        rng.uniform(0.0, 0.03) * _smooth_noise(rng, n, 3.0) + lift * speed**2 * curvature / GRAVITY, -0.06, 0.06
+    )
     strength, mean = rng.uniform(0.5, 6.0), rng.uniform(-4.0, 4.0)
     blow = gust(np.random.default_rng((seed, 7)), "smooth" if as_believed else kind["spectrum"], n)
     wind = np.clip(mean + strength * blow, -30.0, 30.0)
@@ -355,7 +366,9 @@ def left_out(rows: list[dict[str, Any]], train: list[dict[str, Any]]) -> dict[st
             factors = summary(others)["factor"]
             inside: dict[str, list[bool]] = {}
             for name, each in _each(r for r in rows if "estimates" in r and str(r[group]) == which).items():
-                inside[name] = [abs(d) <= NORMAL_90 * max(factors.get(name, 1.0), 1.0) * s for d, s in map(_standing, each)]
+                inside[name] = [
+                    abs(d) <= NORMAL_90 * max(factors.get(name, 1.0), 1.0) * s for d, s in map(_standing, each)
+                ]
             found[f"{group} {which}"] = {name: float(np.mean(each)) for name, each in inside.items()}
     return found
 
@@ -365,15 +378,18 @@ def kept_rows(path: Path | None) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path is not None and path.exists() else []
 
 
-def _print(found: dict[str, Any], widths: Callable[[str], str]) -> None:
+def _print(found: dict[str, Any]) -> None:
     print(f"{found['logs']} logs; refused: {found['refused'] or 'none'}; {found['time']:.2f} s a log (median)")
-    print(f"delay within {NEAR_DELAY} s: {found['near_all']:.3f}; where its interval is narrower than that: {found['near']:.3f}, "
-          f"in {found['narrow']:.3f} of the logs")  # fmt: skip
+    near, narrow = (f"{found[key]:.3f}" for key in ("near", "narrow"))
+    print(f"delay within {NEAR_DELAY} s: {found['near_all']:.3f}; of narrower intervals ({narrow} of all): {near}")
     if found["flagged"] is not None:
         print(f"not consistent: {found['flagged']:.3f}")
     for name, each in found["coverage"].items():
-        print(f"{name:20s} told {found['count'][name]:4d}  90 % interval holds {each:.3f}  factor {found['factor'][name]:.2f}  "
-              f"median error {found['error'][name]:.3g}  width {found['width'][name]:.3g}{widths(name)}")  # fmt: skip
+        count, factor, error, width = (found[key][name] for key in ("count", "factor", "error", "width"))
+        print(
+            f"{name:20s} told {count:4d}  90 % interval holds {each:.3f}  factor {factor:.2f}  median error {error:.3g}  "
+            f"width {width:.3g}"
+        )
     print(f"mean over quantities {np.mean(list(found['coverage'].values())):.3f}")
 
 
@@ -383,14 +399,14 @@ def main() -> None:
     ask.add_argument("--logs", type=int, default=300)
     ask.add_argument("--seed", type=int, default=50000)
     ask.add_argument("--as-believed", action="store_true")
-    ask.add_argument("--raw", action="store_true", help="without corrections of standard errors")
+    ask.add_argument("--raw", action="store_true", help="without the factors on standard errors")
     ask.add_argument("--flags", action="store_true")
     ask.add_argument("--factors", type=Path, help="rows made with --raw on other seeds, for the groups left out")
     ask.add_argument("--rows", type=Path, help="file of JSON lines that rows are kept in")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     if given.raw:
-        calibration.CORRECTIONS = {}
+        calibration.CORRECTIONS = {name: each._replace(factor=1.0) for name, each in calibration.CORRECTIONS.items()}
     wanted = range(given.seed, given.seed + given.logs)
     rows = [row for row in kept_rows(given.rows) if row["seed"] in wanted]
     for seed in sorted(set(wanted) - {row["seed"] for row in rows}):
@@ -404,7 +420,7 @@ def main() -> None:
     if given.json:
         print(json.dumps(found))
         return
-    _print(found, lambda name: "")
+    _print(found)
     for which, each in found.get("left_out", {}).items():
         print(f"left out {which:16s} " + "  ".join(f"{name} {share:.2f}" for name, share in each.items()))
 

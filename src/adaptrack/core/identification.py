@@ -258,7 +258,7 @@ def _compare(q, k, log, x, p, answer):
 
 @inlined
 def _steer(q, log, acting, angle, dead, start, h):
-    """How the wheels move from a start (s) over h (s), commands acting a dead time (s) late, now the one at row `acting`.
+    """How the wheels move from a start (s) over h (s), commands acting a dead time (s) late, that at row `acting` now.
 
     The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
     """
@@ -281,7 +281,7 @@ def _steer(q, log, acting, angle, dead, start, h):
 
 @inlined
 def _measured(q, log, acting, at):
-    """The row before a time (s), beginning at row `acting` of its segment, and the wheels on the straight line there."""
+    """The row before a time (s), from row `acting` of its segment on, and the wheels on the straight line there."""
     last = log.shape[1] - 1
     while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] <= at:
         acting += 1

@@ -207,8 +207,8 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
         )
     free = {QUANTITIES[i].name for i in likelihood.free}
     also = (
-        "lateness", "rate", "offset", "vy_ahead", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation",
-        "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
+        "lateness", "rate", "offset", "vy_ahead", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset",
+        "relaxation", "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
     )  # fmt: skip
     for name in also:
         if name in free:
@@ -241,8 +241,8 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     wider = np.ones(len(rows))
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
-            scale = math.exp(-centre[i]) if positive else 1.0
-            wider[i] = corrected(name, spread[i], scale, prior[i]) / spread[i]
+            value = math.exp(centre[i]) if positive else float(centre[i])
+            wider[i] = corrected(name, spread[i], value, positive, prior[i]) / spread[i]
     spread *= wider
     found = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
