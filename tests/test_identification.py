@@ -18,7 +18,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
 from adaptrack.comparison.manoeuvres.open_loop import drive_open_loop
-from adaptrack.identification.calibration import corrected
+from adaptrack.identification.calibration import CORRECTIONS, corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.from_log import fitted, prepare, reported
 from adaptrack.identification.likelihood import Likelihood
@@ -69,7 +69,7 @@ def integrated(
     force = (front * x[2] + rear * x[3]) / CAR.mass
     return {
         "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),
-        "wheel": x[4], "acceleration": force,
+        "wheel": x[4], "acceleration": force, "vy": x[0],
     }  # fmt: skip
 
 
@@ -115,10 +115,13 @@ def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
 
 
 def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
-    assert corrected("delay", 0.01, 1.0, 0.7) == pytest.approx(0.016)
-    assert corrected("dead_time", 0.01, 1.0 / 0.1, 0.7) == pytest.approx(math.hypot(0.012, 0.03))
-    assert corrected("delay", 0.6, 1.0, 0.7) == 0.7
-    assert corrected("yaw_inertia", 0.05, 1.0, 0.1) == 0.05
+    factor, floor, _ = CORRECTIONS["dead_time"]
+    assert corrected("dead_time", 0.01, 0.1, True, 0.7) == pytest.approx(math.hypot(factor * 0.01, floor / 0.1))
+    factor, floor, share = CORRECTIONS["understeer_gradient"]
+    wide = math.hypot(factor * 1e-4, floor, share * 0.004)
+    assert corrected("understeer_gradient", 1e-4, -0.004, False, 0.7) == pytest.approx(wide)
+    assert corrected("delay", 0.69, 0.3, True, 0.7) == 0.7
+    assert corrected("yaw_inertia", 0.05, 2000.0, True, 0.1) == 0.05
 
 
 @pytest.mark.compiled
@@ -262,6 +265,63 @@ def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(found: at.Identi
     estimates = reported(likelihood, *fitted(likelihood))
     assert estimates["lag"].standard_error < 0.7 * found["lag"].standard_error
     assert abs(estimates["lag"].value - LAG) < 0.01
+
+
+@cache
+def gusty(seed: int) -> dict[str, np.ndarray]:
+    """100 s behind a driver, in Ornstein-Uhlenbeck gusts that turn the car and push it nowhere; the delay is 0.13 s."""
+    rng, step, steps, speed, reach = np.random.default_rng(seed), 0.005, 20000, 20.0, 24.0
+    white, time = rng.standard_normal(steps), 0.005 * np.arange(20000)
+    bends = sum(
+        a * np.sin(math.tau * f * time + p) for a, f, p in ((0.004, 0.07, 0), (0.003, 0.31, 1), (0.002, 0.53, 0))
+    )
+    front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
+    vy = r = delta = aside = heading = gust = command = 0.0
+    out = np.empty((steps, 2))
+    for k in range(steps):
+        if k % 10 == 0:
+            ahead = bends[min(k + 26, steps - 1)] - 2.0 * (aside + reach * heading) / reach**2
+            command = (CAR.wheelbase + CAR.understeer_gradient * speed**2) * ahead
+        out[k] = command, r
+        gust += step * -gust + 0.15 * math.sqrt(2.0 * step) * white[k]
+        forces = front * (delta - (vy + CAR.lf * r) / speed), rear * (CAR.lr * r - vy) / speed
+        aside, heading = aside + step * (vy + speed * heading), heading + step * (r - speed * bends[k])
+        delta += step * (out[max(k - 10, 0), 0] - delta) / 0.08
+        vy += step * ((forces[0] + forces[1]) / CAR.mass - speed * r)
+        r += step * ((CAR.lf * forces[0] - CAR.lr * forces[1]) / CAR.yaw_inertia + gust)
+    rows = np.arange(200, steps, 10)
+    yaw_rate = out[rows, 1] + 0.001 * rng.standard_normal(rows.size)
+    return {"time": time[rows], "command": out[rows, 0], "speed": np.full(rows.size, speed), "yaw_rate": yaw_rate}
+
+
+@pytest.mark.compiled
+def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
+    likelihood = prepare(gusty(2), at.load_vehicle("compact-ev").replace(steering=None))
+    delay = reported(likelihood, *fitted(likelihood))["delay"]
+    assert delay.low < 0.13 < delay.high
+    assert delay.value == pytest.approx(0.13, abs=0.015)
+
+
+@pytest.mark.compiled
+def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyres() -> None:
+    made = driven(40.0)
+    late = np.interp(made["time"] - 0.2, made["time"], made["yaw_rate"])
+    likelihood = prepare({k: made[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
+    estimates = reported(likelihood, *fitted(likelihood))
+    assert estimates["lateness"].value == pytest.approx(0.2, abs=0.02)
+    assert estimates["lateness"].low < 0.2 < estimates["lateness"].high
+    assert estimates["front"].low < 2.0 * CAR.stiffness_front < estimates["front"].high
+
+
+@pytest.mark.compiled
+def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() -> None:
+    made = driven(40.0)
+    noise = 0.02 * np.random.default_rng(4).standard_normal(made["time"].size)
+    log = {k: made[k] for k in ("time", "command", "speed", "yaw_rate")}
+    likelihood = prepare(log | {"vy": made["vy"] + 1.2 * made["yaw_rate"] + noise}, CAR)
+    estimates = reported(likelihood, *fitted(likelihood))
+    assert estimates["vy_ahead"].value == pytest.approx(1.2, abs=0.15)
+    assert estimates["rear"].low < 2.0 * CAR.stiffness_rear < estimates["rear"].high
 
 
 @pytest.mark.compiled

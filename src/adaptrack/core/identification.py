@@ -1,18 +1,20 @@
 """Innovations of a Kalman filter along a log: what the likelihood of a car's quantities is made of.
 
-The filter's state is [v_y (m/s), yaw rate r (rad/s), relaxed slips a_f and a_r (rad), wind w and g (m/s), push d
-(m/s^2), yaw (rad)]. It is that of the single-track vehicle behind its steering:
+The filter's state is [v_y (m/s), yaw rate r (rad/s), relaxed slips a_f and a_r (rad), yaw (rad), wind w and g
+(m/s), push d (m/s^2)]. It is that of the single-track vehicle behind its steering:
 
-    m (dv_y/dt + v r) = F_f(a_f) + F_r(a_r) + s (f(w_0) + f' w - v v_y) + m (d_0 + d)
-    I_z dr/dt         = l_f F_f - l_r F_r + t (f(w_0) + f' w - v v_y) + white noise
+    m (dv_y/dt + v r) = F_f(a_f) + F_r(a_r) + s (f(w_0) + f' w - v v_y) + m (d_0 + d + c v r)
+    I_z dr/dt         = l_f F_f - l_r F_r + (t + s z) (f(w_0) + f' w - v v_y) + white noise
     da_f/dt           = (v/sigma) (delta - (v_y + l_f r)/v - a_f),   likewise at the rear
     ddelta/dt         = (gain command(t - dead time) + offset - delta)/lag
 
 F is the Magic Formula D sin(C atan(S a/(C D))) with the axle's stiffness S and D = mu m g times its share of the load
 (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., eq. 4.E19); f = (v^2 + W^2) limit tanh(atan(W/v)/limit)
 is the load of a side wind W, as in `plants.forces`. w and d are Gauss-Markov processes, w of second order
-(T dw/dt = g - w, T dg/dt = -g + white noise), as gusts are smooth: what no log tells of side wind and bank is noise of
-the process, without which estimates are biased by the driver's answer to it and standard errors too small. delta
+(T_1 dw/dt = g - w, T_2 dg/dt = -g + white noise), as gusts are more or less smooth (T_1 << T_2: not at all): what
+no log tells of side wind and bank is noise of the process, without which estimates are biased by the driver's answer
+to it and standard errors too small. c is the bank of bends. What is measured of the motion is late against the wheels:
+the car then follows the wheels of that much earlier. delta
 has no noise: it follows from the commands alone, in closed form, each held until the next; within a step it acts as
 the straight line of the same mean and first moment (its mean alone makes the dead time of stiff cars 5 ms too long).
 Sources: L. Ljung, *System Identification*, 2nd ed., section 7.4 (likelihood of innovations); D. Simon, *Optimal State
@@ -34,16 +36,20 @@ from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR
 
 Quantities = record("Quantities", (
     "lag", "dead_time", "rate",  # s, s, rad/s: of the steering
+    "lateness",  # s, of all that is measured of the motion, against the wheels
     "gain", "offset",  # -, rad: road wheels over command
     "front", "rear",  # N/rad, cornering stiffness of the axles
     "mass", "yaw_inertia", "lf", "lr",  # kg, kg m^2, m, m
     "relaxation", "friction", "shape_factor",  # m, -, -: of the tyres
     "side", "moment", "wind_angle_limit",  # N s^2/m^2, N s^2/m: of the wind, s and t; rad
-    "wind_mean", "wind_spread", "wind_time",  # m/s, m/s, s
+    "lever",  # m, by which the side force acts before where the car's moment has it
+    "wind_mean", "wind_spread", "wind_time", "wind_rise",  # m/s, m/s, s, s: the gusts' longer and shorter time constant
     "push_mean", "push_spread", "push_time",  # m/s^2, m/s^2, s
+    "superelevation",  # -, share of v r that the bank of bends gives
     "jolt",  # rad/s^2 per root Hz, white
     "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",  # rad/s, m/s, m/s^2, rad, rad
     "gyro_offset", "acceleration_offset", "wheel_offset",  # rad/s, m/s^2, rad
+    "vy_ahead", "vy_turned",  # m, rad: place of the sensor of v_y before the centre of mass, its turn
 ))  # fmt: skip
 """A car, its sensors and what disturbs it."""
 _quantities_of = viewer(Quantities)
@@ -118,6 +124,12 @@ def _wind(q, speed):
 
 
 @inlined
+def _turning(q):
+    """Of the wind, as `moment`."""
+    return q.moment + q.side * q.lever
+
+
+@inlined
 def _start(q, k, log, x, p):
     """The state and covariance at the beginning of a segment."""
     for i in range(_N):
@@ -131,7 +143,7 @@ def _start(q, k, log, x, p):
     p[STATE.slip_front, STATE.slip_front] = p[STATE.slip_rear, STATE.slip_rear] = 0.05 * 0.05
     p[STATE.yaw, STATE.yaw] = square(q.noise_yaw) if yaw == yaw else 1e6
     calm = square(q.wind_spread)
-    p[STATE.wind, STATE.wind], p[STATE.gust, STATE.gust] = calm, 2.0 * calm
+    p[STATE.wind, STATE.wind], p[STATE.gust, STATE.gust] = calm, calm * (1.0 + q.wind_rise / q.wind_time)
     p[STATE.wind, STATE.gust] = p[STATE.gust, STATE.wind] = calm
     p[STATE.push, STATE.push] = square(q.push_spread)
 
@@ -141,9 +153,9 @@ def _linearise(q, speed, slope_front, slope_rear, m):
     """Write M, of the first four states about their slips."""
     sigma = max(q.relaxation, 0.01)
     m[STATE.vy, STATE.vy] = -q.side * speed / q.mass  # relative wind
-    m[STATE.vy, STATE.yaw_rate] = -speed
+    m[STATE.vy, STATE.yaw_rate] = (q.superelevation - 1.0) * speed
     m[STATE.vy, STATE.slip_front], m[STATE.vy, STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
-    m[STATE.yaw_rate, STATE.vy] = -q.moment * speed / q.yaw_inertia
+    m[STATE.yaw_rate, STATE.vy] = -_turning(q) * speed / q.yaw_inertia
     m[STATE.yaw_rate, STATE.slip_front] = q.lf * slope_front / q.yaw_inertia
     m[STATE.yaw_rate, STATE.slip_rear] = -q.lr * slope_rear / q.yaw_inertia
     m[STATE.slip_front, STATE.vy] = m[STATE.slip_rear, STATE.vy] = -1.0 / sigma
@@ -163,10 +175,10 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     steady, slope = _wind(q, speed)
     _linearise(q, speed, slope_front, slope_rear, m)
     constant[STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
-    constant[STATE.yaw_rate] = (q.lf * rest_front - q.lr * rest_rear + q.moment * steady) / q.yaw_inertia
+    constant[STATE.yaw_rate] = (q.lf * rest_front - q.lr * rest_rear + _turning(q) * steady) / q.yaw_inertia
     entering = speed / max(q.relaxation, 0.01)
     constant[STATE.slip_front], ramp[STATE.slip_front] = entering * (angle - 0.5 * h * turning), entering * turning
-    air[STATE.vy], air[STATE.yaw_rate] = q.side * slope / q.mass, q.moment * slope / q.yaw_inertia
+    air[STATE.vy], air[STATE.yaw_rate] = q.side * slope / q.mass, _turning(q) * slope / q.yaw_inertia
 
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
     by_constant, by_ramp, by_air = _column(), _column(), _column()
@@ -175,8 +187,9 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     apply(s2, ramp, by_ramp)
     apply(s1, air, by_air)
     f, kept, moved = _transition(), _vector(), _vector()
-    kept_w, kept_d = exp(-h / q.wind_time), exp(-h / q.push_time)
-    rise = h / q.wind_time * kept_w
+    kept_w, kept_g, kept_d = exp(-h / q.wind_rise), exp(-h / q.wind_time), exp(-h / q.push_time)
+    apart = max(q.wind_time - q.wind_rise, 1e-4 * q.wind_time)
+    rise = (kept_g - kept_w) * q.wind_time / apart
     for i in range(_CAR):
         for j in range(_CAR):
             f[i, j] = s0[i, j]
@@ -188,7 +201,7 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     f[STATE.yaw, STATE.yaw_rate] += 0.5 * h
     f[STATE.yaw, STATE.yaw], moved[STATE.yaw] = 1.0, 0.5 * h * moved[STATE.yaw_rate]
     f[STATE.wind, STATE.wind], f[STATE.wind, STATE.gust] = kept_w, rise
-    kept[STATE.gust], kept[STATE.push] = kept_w, kept_d
+    kept[STATE.gust], kept[STATE.push] = kept_g, kept_d
 
     for i in range(_MIXED):
         for j in range(_N):
@@ -196,13 +209,12 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     for i in range(_N):
         x[i] = moved[i] if i < _MIXED else kept[i] * x[i]
     carry(f, kept, p, _transition())
-    # stationary covariance calm [[1, 1], [1, 2]], less what is left of it
-    calm = square(q.wind_spread * gusts)
-    both = calm * (1.0 - kept_w * kept_w - 2.0 * rise * kept_w)
-    p[STATE.wind, STATE.wind] += both - calm * 2.0 * rise * rise
-    p[STATE.gust, STATE.gust] += calm * 2.0 * (1.0 - kept_w * kept_w)
-    p[STATE.wind, STATE.gust] += both
-    p[STATE.gust, STATE.wind] += both
+    # stationary covariance calm [[1, 1], [1, both]], less what is left of it
+    calm, both = square(q.wind_spread * gusts), 1.0 + q.wind_rise / q.wind_time
+    p[STATE.wind, STATE.wind] += calm * (1.0 - kept_w * kept_w - rise * (2.0 * kept_w + both * rise))
+    p[STATE.gust, STATE.gust] += calm * both * (1.0 - kept_g * kept_g)
+    p[STATE.wind, STATE.gust] += calm * (1.0 - kept_g * (kept_w + both * rise))
+    p[STATE.gust, STATE.wind] += calm * (1.0 - kept_g * (kept_w + both * rise))
     p[STATE.push, STATE.push] += square(q.push_spread) * (1.0 - kept_d * kept_d)
     p[STATE.yaw_rate, STATE.yaw_rate] += square(q.jolt) * h
 
@@ -216,8 +228,8 @@ def _sense(sensor, q, speed, x, h):
         h[STATE.yaw_rate] = 1.0
         return x[STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
     if sensor == OUTPUT.vy:
-        h[STATE.vy] = 1.0
-        return x[STATE.vy], q.noise_vy
+        h[STATE.vy], h[STATE.yaw_rate] = 1.0, q.vy_ahead
+        return x[STATE.vy] + q.vy_ahead * x[STATE.yaw_rate] + q.vy_turned * speed, q.noise_vy
     if sensor == OUTPUT.yaw:
         h[STATE.yaw] = 1.0
         return x[STATE.yaw], q.noise_yaw
@@ -245,12 +257,12 @@ def _compare(q, k, log, x, p, answer):
 
 
 @inlined
-def _steer(q, log, acting, angle, start, h):
-    """How the wheels move from a start (s) over h (s) behind the commands, of which the one at row `acting` acts.
+def _steer(q, log, acting, angle, dead, start, h):
+    """How the wheels move from a start (s) over h (s), commands acting a dead time (s) late, that at row `acting` now.
 
     The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
     """
-    last, dead, until = log.shape[1] - 1, q.dead_time, start + h
+    last, until = log.shape[1] - 1, start + h
     lag, rate = max(q.lag, 1e-4), q.rate
     area, moment, at = 0.0, 0.0, start
     while at < until:
@@ -268,12 +280,16 @@ def _steer(q, log, acting, angle, start, h):
 
 
 @inlined
-def _follow(q, log, k, share, h):
-    """Likewise of wheels on straight lines between measured angles; share: of the span, at the middle of the step."""
-    span = log[ROW.time, k] - log[ROW.time, k - 1]
-    turning = q.gain * (log[ROW.command, k] - log[ROW.command, k - 1]) / span
-    mean = q.gain * log[ROW.command, k - 1] + share * span * turning + q.offset
-    return mean + 0.5 * h * turning, mean, turning
+def _measured(q, log, acting, at):
+    """The row before a time (s), from row `acting` of its segment on, and the wheels on the straight line there."""
+    last = log.shape[1] - 1
+    while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] <= at:
+        acting += 1
+    angle = log[ROW.command, acting]
+    if acting < last and log[ROW.begins, acting + 1] <= 0.0 and at > log[ROW.time, acting]:
+        span = log[ROW.time, acting + 1] - log[ROW.time, acting]
+        angle += (at - log[ROW.time, acting]) / span * (log[ROW.command, acting + 1] - angle)
+    return acting, q.gain * angle + q.offset
 
 
 @exported(void(vector, matrix, matrix))
@@ -285,6 +301,7 @@ def innovations(quantities, log, answer):
     """
     q, x, p = _quantities_of(quantities, 0), _vector(), _covariance()
     samples, acting, angle = log.shape[1], 0, 0.0
+    acting_here, here = 0, 0.0  # of the wheels as their sensor has them
     measured_angle = q.lag <= 0.0
     for k in range(samples):
         for i in range(answer.shape[0]):
@@ -292,27 +309,35 @@ def innovations(quantities, log, answer):
         now = log[ROW.time, k]
         if log[ROW.begins, k] > 0.0:
             _start(q, k, log, x, p)
-            acting = k
-            angle = q.gain * log[ROW.command, k] + q.offset
+            acting = acting_here = k
+            angle = here = q.gain * log[ROW.command, k] + q.offset
         else:
             before = log[ROW.time, k - 1]
             span = now - before
             steps = max(1, whole(ceil(span / LONGEST_STEP - 1e-9)))
             h = span / steps
             for step in range(steps):
-                share = (step + 0.5) / steps
+                share, start = (step + 0.5) / steps, before + step * h
                 if measured_angle:
-                    angle, mean, turning = _follow(q, log, k, share, h)
+                    acting, ending = _measured(q, log, acting, start + h - q.lateness)
+                    mean, turning, angle = 0.5 * (angle + ending), (ending - angle) / h, ending
                 else:
-                    acting, angle, mean, turning = _steer(q, log, acting, angle, before + step * h, h)
+                    dead = q.dead_time + q.lateness
+                    acting, angle, mean, turning = _steer(q, log, acting, angle, dead, start, h)
                 speed = log[ROW.speed, k - 1] + share * (log[ROW.speed, k] - log[ROW.speed, k - 1])
                 _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p)
+            if measured_angle:
+                here = q.gain * log[ROW.command, k] + q.offset
+            elif q.lateness == 0.0:
+                acting_here, here = acting, angle
+            else:
+                acting_here, here, _, _ = _steer(q, log, acting_here, here, q.dead_time, before, span)
         _compare(q, k, log, x, p, answer)
         found = 2 * len(OUTPUT)
-        answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[STATE.wind], angle
+        answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[STATE.wind], here
         answer[found + FOUND.front_slip, k] = x[STATE.slip_front]
         answer[found + FOUND.rear_slip, k] = x[STATE.slip_rear]
         measured = log[ROW.wheel, k]
         if measured == measured:
-            answer[OUTPUT.wheel, k] = measured - angle - q.wheel_offset
+            answer[OUTPUT.wheel, k] = measured - here - q.wheel_offset
             answer[len(OUTPUT) + OUTPUT.wheel, k] = square(q.noise_wheel) + FLOOR

@@ -247,7 +247,7 @@ def _noises(log: Log) -> dict[str, Prior]:
 def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
     """The most likely point z of a log, and the covariance of its free entries.
 
-    First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
+    First all gusts are alike; then their spread follows the log.
     """
     starts = []
     for delay in FIRST_DELAYS:
@@ -257,8 +257,7 @@ def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
         starts.append((likelihood.objective(z), delay, z))
     z, _ = likelihood.fit(min(starts, key=lambda each: each[0])[2], NEARLY)
     likelihood.follow_gusts(z)
-    z, _ = likelihood.fit(z, NEARLY)
-    z, at = likelihood.fit(likelihood.widen_gusts(z))
+    z, at = likelihood.fit(z)
     return z, likelihood.covariance(at)
 
 
@@ -304,8 +303,8 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
         )
     free = {QUANTITIES[i].name for i in likelihood.free}
     also = (
-        "rate", "offset", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation",
-        "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
+        "lateness", "rate", "offset", "vy_ahead", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset",
+        "relaxation", "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
     )  # fmt: skip
     for name in also:
         if name in free:
@@ -341,8 +340,8 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     wider = np.ones(len(rows))
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
-            scale = math.exp(-centre[i]) if positive else 1.0
-            wider[i] = corrected(name, spread[i], scale, prior[i]) / spread[i]
+            value = math.exp(centre[i]) if positive else float(centre[i])
+            wider[i] = corrected(name, spread[i], value, positive, prior[i]) / spread[i]
     spread *= wider
     found = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
@@ -32,10 +33,10 @@ SETTLING = 1.0
 """s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
 GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
 """s to either side over which the changes of the wind are averaged; least share of their mean square."""
-WIDER = 3.0
-"""Factor on the most likely spread of the gusts."""
-BLOCK = 4.0
-"""s, of the scores that are summed before their scatter is taken: longer than what innovations may be correlated."""
+LEAST_OF_SPLINE = 20
+"""Samples of a segment whose measured wheel angle is smoothed."""
+STRETCH = 10.0
+"""s, of the stretches whose estimates are compared: longer than what innovations may be correlated."""
 
 
 class Likelihood:
@@ -50,6 +51,8 @@ class Likelihood:
         rows = np.zeros((len(kernel.ROW), log.samples))
         for name in ("time", "command", "speed", *OUTPUTS):
             rows[kernel.ROW._fields.index(name)] = getattr(log, name)
+        if not log.commanded:
+            rows[kernel.ROW.command] = _smoothed(log)
         rows[kernel.ROW.begins] = log.begins
         rows[kernel.ROW.used] = 1.0 if used is None else used
         self._rows = rows
@@ -67,15 +70,16 @@ class Likelihood:
         """Which quantities can change what is predicted."""
         silent = set()
         for output, names in (
-            ("vy", ("noise_vy",)), ("acceleration", ("noise_acceleration", "acceleration_offset")),
+            ("vy", ("noise_vy", "vy_ahead", "vy_turned")),
+            ("acceleration", ("noise_acceleration", "acceleration_offset")),
             ("yaw", ("noise_yaw",)), ("wheel", ("noise_wheel", "wheel_offset")),
         ):  # fmt: skip
             if not self.present[output]:
                 silent |= set(names)
-        if not (self.present["vy"] or self.present["acceleration"]):
-            silent |= {"push_spread"}
         if not self.log.commanded:
             silent |= {"delay", "lag_share", "rate"}
+        elif not self.present["wheel"]:
+            silent |= {"lateness"}
         return np.array([each.name not in silent for each in QUANTITIES])
 
     def values(self, z: Array) -> Array:
@@ -96,10 +100,8 @@ class Likelihood:
             "shape_factor": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
             "wind_angle_limit": car.wind_angle_limit,
-            "push_time": PUSH_TIME,
+            "push_time": PUSH_TIME, "wind_rise": value["wind_smoothness"] * value["wind_time"],
         }  # fmt: skip
-        if not (self.present["vy"] or self.present["acceleration"]):
-            derived["push_spread"] = 0.0
         named = value | derived
         return np.array([named[name] for name in self._kernel.Quantities._fields])
 
@@ -117,18 +119,6 @@ class Likelihood:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
         self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
-
-    def widen_gusts(self, z: Array) -> Array:
-        """Keep the wind's spread at `WIDER` times that of a point; the point there.
-
-        Gusts have longer tails than a Gaussian process. One that is as likely as can be shrinks them, and leaves the
-        driver's answer to them to the tyres: in closed loop the front axle then looks softer than it is.
-        """
-        place = INDEX["wind_spread"]
-        self.median[place] = WIDER * self.values(z)[place]
-        self.spread[place] = 0.0
-        self.free = self.free[self.free != place]
-        return np.where(np.arange(z.size) == place, 0.0, z)
 
     def follow_gusts(self, z: Array) -> None:
         """Let the spread of the wind's noise follow how much the wind changes along the log."""
@@ -174,14 +164,15 @@ class Likelihood:
             de[i], ds[i] = (e_up - e) / STEP, (s_up - s) / STEP
         with np.errstate(all="ignore"):  # what comes of it is looked at
             scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
-            by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
-            information = by_error @ by_error.T + by_size @ by_size.T + np.eye(self.free.size)
+            roots = np.stack([de / np.sqrt(s), ds / (np.sqrt(2.0) * s)], axis=1)
+            flat = roots.reshape(self.free.size, -1)
+            information = flat @ flat.T + np.eye(self.free.size)
         if not (np.isfinite(information).all() and np.isfinite(scores).all()):
             raise InvalidInput(
                 "identify: what the log tells is not finite: a signal is off by orders of magnitude; check columns and "
                 "units (--columns, --units)."
             )
-        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores)
+        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores, roots)
 
     def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
         """The most likely point from a start, and what is known there."""
@@ -204,20 +195,37 @@ class Likelihood:
         return z, now
 
     def covariance(self, at: Scored) -> Array:
-        """Covariance of z where it is free: the inverse information, wider where the scores scatter more than that.
+        """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
 
-        The scatter of the scores, summed over blocks of time, holds whatever the noise is (the sandwich of H. White,
-        Econometrica 50 (1982) 1-25; in blocks: W. K. Newey and K. D. West, Econometrica 55 (1987) 703-708).
+        The scatter of the estimates that leave out one stretch each holds whatever the noise is, and what differs from
+        stretch to stretch (the delete-one jackknife in its linear form, CR3 of J. G. MacKinnon, M. O. Nielsen and M. D.
+        Webb, J. Econometrics 232 (2023) 272-299). It is never less than the information says, nor more than was
+        believed before.
         """
         inverse = np.linalg.inv(at.information)
-        block = np.broadcast_to(np.floor(self.log.time / BLOCK).astype(np.int64), self.counts.shape)[self.counts]
-        _, block = np.unique(block, return_inverse=True)
-        sums = np.zeros((int(block.max()) + 1, self.free.size))
-        np.add.at(sums, block, at.scores.T)
-        scatter = inverse @ (sums.T @ sums + np.eye(self.free.size)) @ inverse
-        variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)  # never more than was believed before
+        stretch = np.broadcast_to(np.floor(self.log.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
+        scatter = inverse @ inverse  # of the prior
+        for each in np.unique(stretch):
+            here = stretch == each
+            roots = at.roots[:, :, here].reshape(self.free.size, -1)
+            moved = np.linalg.solve(at.information - roots @ roots.T, at.scores[:, here].sum(axis=1))
+            scatter += np.outer(moved, moved)
+        variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
         widened = np.sqrt(variance / np.diag(inverse))
         return widened[:, None] * inverse * widened
+
+
+def _smoothed(log: Log) -> Array:
+    """(n,) the measured wheel angle without its noise and steps, which would pass for steering.
+
+    Splines of each segment, as smooth as cross-validation finds best (G. Wahba, *Spline Models for Observational Data*,
+    1990, chapter 4).
+    """
+    out = log.command.copy()
+    for rows in np.split(np.arange(log.samples), np.flatnonzero(log.begins)[1:]):
+        if rows.size > LEAST_OF_SPLINE and np.ptp(log.command[rows]) > 0.0:
+            out[rows] = make_smoothing_spline(log.time[rows], log.command[rows])(log.time[rows])
+    return out
 
 
 def _window_mean(time: Array, values: Array, half: float) -> Array:
@@ -236,6 +244,8 @@ class Scored:
     information: Array
     scores: Array
     """(free, innovations that count): terms of the gradient, without the prior's"""
+    roots: Array
+    """(free, 2, innovations that count): what the information is the sum of squares of, without the prior's"""
 
 
 def _objective(e: Array, s: Array, z: Array) -> float:

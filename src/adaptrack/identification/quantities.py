@@ -42,6 +42,7 @@ QUANTITIES = (
     Quantity("delay", "s", "positive", "lag and dead time together"),
     Quantity("lag_share", "-", "share", "the lag's share of the delay"),
     Quantity("rate", "rad/s", "positive", "fastest turn of the road wheels"),
+    Quantity("lateness", "s", "real", "of what is measured of the motion, against the wheel angle"),
     Quantity("gain", "-", "positive", "road wheels over the logged steering angle"),
     Quantity("offset", "rad", "real", "what the road wheels turn beyond the command"),
     Quantity("front", "N/rad", "positive", "cornering stiffness of the front axle"),
@@ -54,8 +55,11 @@ QUANTITIES = (
     Quantity("wind_mean", "m/s", "real", "mean side wind"),
     Quantity("wind_spread", "m/s", "positive", "standard deviation of the gusts"),
     Quantity("wind_time", "s", "positive", "correlation time of the gusts"),
+    Quantity("wind_smoothness", "-", "share", "shorter over longer time constant of the gusts"),
+    Quantity("lever", "m", "real", "by which gusts act before where the car's air moment has them"),
     Quantity("push_mean", "m/s^2", "real", "mean push of the bank"),
     Quantity("push_spread", "m/s^2", "positive", "standard deviation of the bank's push"),
+    Quantity("superelevation", "-", "real", "share of the lateral acceleration that the bank of bends gives"),
     Quantity("jolt", "rad/s^1.5", "positive", "white yaw acceleration of the road"),
     Quantity("noise_yaw_rate", "rad/s", "positive", "noise of the yaw rate"),
     Quantity("noise_vy", "m/s", "positive", "noise of the lateral velocity"),
@@ -65,6 +69,8 @@ QUANTITIES = (
     Quantity("gyro_offset", "rad/s", "real", "offset of the yaw rate"),
     Quantity("acceleration_offset", "m/s^2", "real", "offset of the lateral acceleration"),
     Quantity("wheel_offset", "rad", "real", "offset of the measured wheel angle"),
+    Quantity("vy_ahead", "m", "real", "sensor of the lateral velocity before the centre of gravity"),
+    Quantity("vy_turned", "rad", "real", "turn of that sensor"),
 )
 """All, in the order of the fit."""
 INDEX = {each.name: i for i, each in enumerate(QUANTITIES)}
@@ -82,10 +88,12 @@ DISTURBANCES: Mapping[str, Prior] = {
     "gain": Prior(1.0, 0.0), "offset": Prior(0.0, 0.03),
     "mass": Prior(1500.0, 0.0), "friction": Prior(0.7, 0.35), "wind_mean": Prior(0.0, 4.0),
     "wind_spread": Prior(4.0, 1.0), "wind_time": Prior(0.6, 0.6), "push_mean": Prior(0.0, 0.2),
-    "push_spread": Prior(0.1, 1.0), "jolt": Prior(0.01, 1.5), "noise_yaw_rate": Prior(0.01, 1.5),
+    "lateness": Prior(0.0, 0.15), "lever": Prior(0.0, 0.8), "superelevation": Prior(0.0, 0.08),
+    "push_spread": Prior(0.15, 1.0), "wind_smoothness": Prior(0.5, 1.5), "jolt": Prior(0.01, 1.5),
+    "noise_yaw_rate": Prior(0.01, 1.5),
     "noise_vy": Prior(0.05, 1.5), "noise_acceleration": Prior(0.1, 1.5), "noise_yaw": Prior(0.003, 1.5),
     "noise_wheel": Prior(0.002, 1.5), "gyro_offset": Prior(0.0, 0.003), "acceleration_offset": Prior(0.0, 0.2),
-    "wheel_offset": Prior(0.0, 0.02),
+    "wheel_offset": Prior(0.0, 0.02), "vy_ahead": Prior(0.0, 1.0), "vy_turned": Prior(0.0, 0.01),
 }  # fmt: skip
 """What is believed of steering, sensors and weather: wide enough for any car on a road."""
 
