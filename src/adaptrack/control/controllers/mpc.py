@@ -27,7 +27,7 @@ from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
-from adaptrack.control.controllers.learned import LearnedCar, Learning
+from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
@@ -40,7 +40,7 @@ from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import Step, form_qp, step
 from adaptrack.core.controllers.receding import apply_move
-from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.estimators.learning import BELIEF, BELIEFS
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.schedule_step import schedule_step
@@ -114,6 +114,11 @@ class MPCCommand(NamedTuple):
     """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
     learned: tuple[float, ...] = ()
     """what a controller that learns has learned, in the order of `core.estimators.learning.BELIEFS`"""
+
+    @property
+    def belief_state(self) -> BeliefState | None:
+        """Of what is believed of the car; None of a controller that does not learn."""
+        return BeliefState(int(self.learned[BELIEF.belief_state])) if self.learned else None
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
