@@ -17,6 +17,8 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.cli.app import app
 from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
+from adaptrack.control.controllers.learned import MIDDLE as MIDDLE_OF_NOBODY
+from adaptrack.control.controllers.learned import BeliefState
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, SingleTrackModel
@@ -168,6 +170,7 @@ def test_a_controller_told_wrongly_finds_delay_stiffness_bias_and_noise(profile)
     assert last["belief_stiffness"] == pytest.approx(1.6, rel=0.15)
     assert last["belief_bias"] == pytest.approx(-0.012, abs=0.004)
     assert last["belief_noise"] == pytest.approx(2.0, rel=0.2)
+    assert BeliefState(int(last["belief_state"])) is BeliefState.SETTLED
     for name in ("delay", "stiffness", "bias"):
         assert last[f"belief_{name}_sigma"] < 0.5 * run.diagnostics[f"belief_{name}_sigma"][0]
     truth = run.meta["truth"]
@@ -229,6 +232,46 @@ def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_no
     assert 0.18 - 1e-9 <= said["used_lag"].min() <= said["used_lag"].max() <= 0.22 + 1e-9
     assert 0.08 - 1e-9 <= said["used_dead_time"].min() <= said["used_dead_time"].max() <= 0.12 + 1e-9
     assert np.abs(np.log(said["used_stiffness"])).max() <= math.log(1.1) + 1e-9
+    assert said["belief_state"][-1] in (BeliefState.AT_BOUND, BeliefState.CONTRADICTORY)
+    bound = kernel.QUANTITIES_BOUNDED[int(said["belief_at_bound"][-1]) - 1]
+    assert said[f"belief_{bound}_sigma"][-1] >= said[f"belief_{bound}_sigma"][0]
+    assert said["used_caution"][-1] > 2.0
+
+
+@compiled
+def test_a_range_that_nobody_gave_widens_and_one_that_was_given_does_not():
+    slow = world(lag=0.5, dead_time=0.1, bias=0.0)
+    run = rollout(DualTrack(CAR), MPC(CAR, profile="road", belief="unknown", learning=Learning()),
+                  random_drive(11, 20.0), profile=slow, seed=1)  # fmt: skip
+    assert run.diagnostics["belief_lag"][-1] > 0.4 > MIDDLE_OF_NOBODY[0]
+
+
+# -- when it doubts ---------------------------------------------------------------------------------------------------
+def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step():
+    mpc = learner()
+    driven(mpc, 40)
+    memory = kernel.memory_of(mpc._mpc.informed.learned[0], 0)
+    for i in range(4):
+        each = kernel.hypothesis(i, mpc.learner.kept, mpc._mpc.informed.learned[0])
+        each.covariance[kernel.STIFFNESS] = each.covariance[:, kernel.STIFFNESS] = 0.0
+        each.covariance[kernel.STIFFNESS, kernel.STIFFNESS] = 1e-4
+    known = 2.0 * 1e-2
+    memory.disagreement = 20.0
+    sigmas, cautions = [], []
+    for seed in range(20):
+        driven(mpc, 1, seed + 1)
+        sigmas.append(belief(mpc, "belief_stiffness_sigma"))
+        cautions.append(belief(mpc, "used_caution"))
+    assert belief(mpc, "belief_state") == BeliefState.CONTRADICTORY
+    assert sigmas[-1] > 5.0 * known
+    assert np.abs(np.diff([known, *sigmas])).max() < 0.25 * learner().learner.stiffness_spread
+    assert np.diff(cautions).max() < 1.0
+
+
+def test_a_step_tells_the_state_of_the_belief_and_none_where_nothing_is_learned():
+    answer = learner().step([0.0] * 4, SPEED, np.zeros(40))
+    assert answer.belief_state is BeliefState.LEARNING
+    assert MPC(CAR, profile="road").step([0.0] * 4, SPEED, np.zeros(40)).belief_state is None
 
 
 # -- when it is still -------------------------------------------------------------------------------------------------

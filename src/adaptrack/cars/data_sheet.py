@@ -18,7 +18,7 @@ DRIVER = 75.0
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
 
-MASSES, WHEELBASES = (600.0, 3500.0), (1.7, 4.0)
+MASSES, WHEELBASES = (600.0, 3500.0), (1.7, 5.0)
 """kg, m: beyond these the measurements say nothing."""
 FRONT_DISTANCE, FRONT_DISTANCE_SPREAD = 0.42, 0.06
 """-, l_f over the wheelbase: mean 0.416, 5 to 95 % from 0.39 to 0.50 in 42 cars of opendbc, `centerToFrontRatio`."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -16,6 +17,7 @@ from pydantic import Field, InstanceOf
 from adaptrack.base.checked import Count, Finite, Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record, build, read_toml
+from adaptrack.cars.data_sheet import BODY_STYLES
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.kalman import Drifts, KalmanFilter, wind_turn
@@ -25,12 +27,20 @@ from adaptrack.core.estimators.learning import Numbers, memory_of
 
 Array = NDArray[np.float64]
 
-UNKNOWN_CAR = Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.0, mass=0.3)
-"""How far the belief may be wrong where nobody says: published delays are 0.05 to 0.6 s."""
-MIDDLE = (0.2, 0.125)
+UNKNOWN_CAR = Uncertainty(lag=0.19, dead_time=0.175, stiffness=2.0, mass=0.3)
+"""How far the belief may be wrong where nobody says: published delays are 0.05 to 0.6 s. Stiffness and mass of a car
+whose file says how well it is known (``[known_within]``) are taken from there."""
+UNKNOWN_BALANCE, UNKNOWN_BIAS = 2.0, 0.035
+"""Factor of front over rear stiffness, and rad, likewise: K from -0.5 to 5 deg/g about a data sheet's 1.5, see
+`data_sheet.AXLE_COEFFICIENTS`; a wheel that is two degrees off."""
+MIDDLE = (0.21, 0.175)
 """s, lag and dead time in the middle of published values, believed where nobody says."""
-LEAST_LAG = 0.02
-"""s, of a steering that is learned: shorter ones make no difference at a control period of 0.05 s."""
+MOST_LAG, MOST_DEAD_TIME = 0.6, 0.5
+"""s, to which a range that nobody gave widens: the longest delay that is published, see `UNKNOWN_CAR`."""
+MOST_STIFFNESS, MOST_BALANCE, MOST_BIAS = 4.0, 4.0, 0.07
+"""Factors and rad, likewise: axles of 5 to 60 1/rad over their load, beyond what `data_sheet` names; 4 degrees."""
+_TOLD = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
+LEAST_LAG = kernel.SHORTEST_LAG
 GRAIN = 0.4
 """Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
 LEAST_UNSURE, LEAST_CHANGED = 0.02, 0.05
@@ -39,26 +49,26 @@ SPREAD = 1.0 / math.sqrt(3.0)
 """Standard deviation of what may be anywhere within +-1."""
 
 
-WITHIN = 1.645
-"""Standard deviations to either side that hold 90 % of a normal distribution."""
-
-
 class BeliefState(IntEnum):
-    """How far a belief can be trusted."""
+    """States of what is believed; one at a time, the last of those that apply (`core.estimators.learning`)."""
 
-    LEARNING = 0
-    """intervals still shrink"""
-    SETTLED = 1
-    AT_BOUND = 2
-    """a quantity is at the end of its range: the truth may lie beyond"""
-    CONTRADICTORY = 3
-    """what is measured does not fit any car within the ranges"""
+    LEARNING = kernel.LEARNING
+    """the delay or the stiffness is not yet known well"""
+    SETTLED = kernel.SETTLED_BELIEF
+    AT_BOUND = kernel.AT_BOUND
+    """a quantity is at the end of its range: R is raised"""
+    CONTRADICTORY = kernel.CONTRADICTORY
+    """the car does not do what is believed: what is believed becomes as uncertain as before the first sample"""
 
     def words(self, at_bound: str | None = None) -> str:
         """As sentences say it; at_bound: the quantity that is at its bound."""
         if self is not BeliefState.AT_BOUND:
             return self.name.lower()
         return "at a bound" if at_bound is None else f"at a bound ({at_bound.replace('_', ' ')})"
+
+
+WITHIN = 1.645
+"""Standard deviations to either side that hold 90 % of a normal distribution."""
 
 
 def bounded_quantity(at_bound: float) -> str | None:
@@ -91,6 +101,7 @@ class LearnedCar(Record):
     balance_sigma: float = Field(default=0.1, ge=0, le=10, description="-, of its logarithm")
     bias: float = Field(default=0.0, ge=-1, le=1, description="rad, by which the wheels turn beyond the command")
     bias_sigma: float = Field(default=0.0, ge=0, le=1, description="rad")
+    at_bound: str = Field(default="", description="which of these is at the end of its range: it may lie beyond")
     seconds: float = Field(default=0.0, ge=0, description="s, for which it was learned")
 
     @property
@@ -156,14 +167,17 @@ class Learning:
     start: Annotated[InstanceOf[LearnedCar], Hint("load_learned_car(file) gives one")] | None = None
     lags: _Hypotheses = 2
     dead_times: _Hypotheses = 2
-    bias: Annotated[NotNegative, "rad"] = 0.02
-    """bias of the steering to either side"""
-    balance: _Factor = 1.18
-    """factor by which front over rear stiffness may be larger or smaller"""
+    bias: Annotated[NotNegative, "rad"] | None = None
+    """bias of the steering to either side; None: nobody says, `UNKNOWN_BIAS` at first and up to `MOST_BIAS`"""
+    balance: _Factor | None = None
+    """factor by which front over rear stiffness may be larger or smaller; None: likewise"""
+    rearward: NotNegative = 1.0
+    """share of what a car's file leaves open of its centre of mass, by which that is believed further back: a car that
+    is believed too heavy in front is lost where it oversteers, the other error costs little"""
     bank: Annotated[NotNegative, "m/s^2"] = 0.2
     """standard deviation of the pull of a banked road"""
     wind: Annotated[NotNegative, "m/s^2"] = 0.35
-    """by which side wind changes in a second"""
+    """by which side wind changes in a second, for the data sheet's car of `WINDY` kg"""
     wind_time: Annotated[Positive, "s"] = 3.0
     """in which a gust is over"""
     bank_time: Annotated[Positive, "s"] = 20.0
@@ -198,14 +212,33 @@ class Learning:
     """share of a log-likelihood that counts, for successive innovations are not independent"""
     modest: _Factor = 2.0
     """factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
-    cautious: NotNegative = 1.0
+    cautious: NotNegative = 0.5
     """standard deviations of the delay by which the controller believes it longer than its mean"""
-    tolerated: Annotated[Positive, "s"] = 0.06
+    tolerated: Annotated[Positive, "s"] = 0.3
     """standard deviation of the delay that doubles R"""
     most_caution: _Factor = 16.0
     """largest factor on R for the delay"""
-    tolerated_stiffness: Positive = 0.6
+    tolerated_stiffness: Positive = 2.0
     """standard deviation of the logarithm of the stiffness that doubles R"""
+    doubting_caution: _Factor = 4.0
+    """factor on R while a quantity is at the end of its range, or what is measured contradicts what is believed"""
+    unmodelled: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] = (
+        0.03,
+        0.02,
+        0.015,
+        0.1,
+        0.3,
+        0.0015,
+    )
+    """standard deviations of what no amount of driving tells, for the filters know nothing of the tyres' relaxation nor
+    of the centre of mass: of lag, dead time and both together (s), of the logarithms of stiffness and balance, of the
+    bias (rad)"""
+    window: Annotated[Positive, "s"] = 3.0
+    """over which squared innovations are averaged to find a contradiction"""
+    returning: Annotated[Positive, "s"] = 3.0
+    """time constant of the way back to the prior's variances in a contradiction"""
+    doubting: Annotated[Positive, "s"] = 1.0
+    """time constant of `doubting_caution`"""
     longer: Annotated[NotNegative, "s per s"] = 2.0
     """by which lag or dead time are believed longer at most"""
     shorter: Annotated[NotNegative, "s per s"] = 2.0
@@ -214,7 +247,7 @@ class Learning:
     """by which the logarithm of the believed stiffness changes at most"""
     turning: Annotated[NotNegative, "rad/s"] = 0.1
     """by which the believed bias changes at most"""
-    wandering: Annotated[NotNegative, "rad/s"] = 0.2
+    wandering: Annotated[NotNegative, "rad/s"] = 0.05
     """by which the wheels may be elsewhere for every second of uncertain delay, after a second"""
     noise: _Factor = 4.0
     """factor within which the noise of a sensor may differ from what is believed"""
@@ -238,12 +271,39 @@ class Ranges(NamedTuple):
         dead = said["dead_time"] - unsure.dead_time, said["dead_time"] + unsure.dead_time
         return cls((max(lag[0], LEAST_LAG), max(lag[1], LEAST_LAG)), (max(dead[0], 0.0), dead[1]))
 
+    def widened(self) -> Ranges:
+        """To the limits of what is published."""
+        return Ranges((LEAST_LAG, max(MOST_LAG, self.lag[1])), (0.0, max(MOST_DEAD_TIME, self.dead_time[1])))
+
+
+def _rear_heavy(car: Vehicle, share: float) -> Vehicle:
+    """A car whose centre of mass is so much of what its file leaves open further back."""
+    open_to = None if car.known_within is None else car.known_within.lf
+    if not open_to or share == 0.0:
+        return car
+    lf = car.lf + share * open_to
+    return car.replace(lf=lf, lr=car.lf + car.lr - lf)
+
+
+def _unknown(car: Vehicle, belief: Belief) -> Uncertainty:
+    """How far the belief may be wrong where the caller does not say."""
+    if car.known_within is None:
+        return UNKNOWN_CAR
+    said = Uncertainty.of_car(car, belief)
+    return replace(UNKNOWN_CAR, stiffness=said.stiffness, mass=said.mass)
+
+
+WINDY = 1500.0
+"""kg, of a car whose wind `Learning.wind` is: it acts on a body by area and slope of the side force over the mass."""
+LEAST_WINDY, MOST_WINDY = 0.5, 4.0
+"""Factors on it."""
+
 
 class Learner:
     """`Learning` of a car: the numbers of the compiled learner.
 
-    car: as believed; belief: of its steering; unsure: how far both may be wrong; sensing: the filter, with its sensors;
-    period: control period (s).
+    car: as believed; belief: of its steering; unsure: how far both may be wrong, never to be left, None: nobody says;
+    sensing: the filter, with its sensors; period: control period (s).
 
     Raises
     ------
@@ -251,22 +311,39 @@ class Learner:
         When what was learned before is of another car.
     """
 
-    def __init__(self, own: Learning, car: Vehicle, belief: Belief, unsure: Uncertainty, sensing: KalmanFilter,
+    def __init__(self, own: Learning, car: Vehicle, belief: Belief, unsure: Uncertainty | None, sensing: KalmanFilter,
                  period: float) -> None:  # fmt: skip
-        self.own, self.car, self.period, self.sensing = own, car, period, sensing
+        self.own, self.period, self.sensing = own, period, sensing
+        self.car = _rear_heavy(car, own.rearward)
         if own.start is not None and own.start.car not in ("", car.name):
             raise InvalidInput(
                 f"Learning: start: learned of car {own.start.car!r}, and the controller's is {car.name!r}: begin "
                 "without it, or give it as LearnedCar(..., car='') if it is the same."
             )
+        given = unsure is not None
+        unsure = _unknown(car, belief) if unsure is None else unsure
         self.ranges = Ranges.of(belief, unsure)
+        """at first"""
+        self.limits = self.ranges if given else self.ranges.widened()
+        """never left"""
         self.computation, self.rate, self.lag = belief.computation.value, belief.rate.value, belief.lag.value
         self.stiffness = math.log(unsure.stiffness) + math.log1p(unsure.mass)
+        if not given:
+            self.stiffness = max(self.stiffness, math.log(MOST_STIFFNESS))
+        self.balance = UNKNOWN_BALANCE if own.balance is None else own.balance
+        self.bias = UNKNOWN_BIAS if own.bias is None else own.bias
         self.stiffness_spread = SPREAD * math.hypot(math.log(unsure.stiffness), math.log1p(unsure.mass))
         if "rate" in belief.assumed:
             self.rate = math.inf
-        self.longest = self.ranges.dead_time[1] + self.computation
+        self.longest = self.limits.dead_time[1] + self.computation
         self.kept = math.ceil((self.longest + sensing.oldest) / period) + 3
+
+    @property
+    def wind(self) -> float:
+        """m/s^2, by which side wind changes in a second."""
+        car, usual = self.car, Vehicle.model_fields["side_force_slope"].default * BODY_STYLES["car"].frontal_area
+        found = car.frontal_area * car.side_force_slope / usual * WINDY / car.mass
+        return self.own.wind * min(max(found, LEAST_WINDY), MOST_WINDY)
 
     @property
     def spread(self) -> tuple[Array, Array]:
@@ -300,7 +377,7 @@ class Learner:
         """As `core.estimators.learning.Numbers` has them."""
         own, car, period = self.own, self.car, self.period
         drifts = {
-            "drift_wind": own.wind, "drift_bias": own.drift_bias, "drift_stiffness": own.drift_stiffness,
+            "drift_wind": self.wind, "drift_bias": own.drift_bias, "drift_stiffness": own.drift_stiffness,
             "drift_balance": own.drift_balance, "drift_vy": own.drift_vy, "drift_yaw_rate": own.drift_yaw_rate,
             "drift_bank": own.bank * math.sqrt(2.0 / own.bank_time),
             "drift_friction": own.friction_spread * math.sqrt(2.0 / own.friction_time),
@@ -309,7 +386,9 @@ class Learner:
         given: dict[str, Any] = {name: value**2 * period for name, value in drifts.items()}
         times = {"wind_left": own.wind_time, "bank_left": own.bank_time, "friction_left": own.friction_time}
         given |= {name: math.exp(-period / time) for name, time in times.items()}
-        (least_lag, most_lag), (least_dead, most_dead) = self.ranges
+        (least_lag, most_lag), (least_dead, most_dead) = self.limits
+        given |= {f"unmodelled_{name}": value for name, value in zip(_TOLD, own.unmodelled, strict=True)}
+        given |= {name: min(1.0, period / getattr(own, name)) for name in ("window", "returning", "doubting")}
         given |= {
             "period": period, "computation": self.computation, "lag": self.lag,
             "hypotheses": len(self.hypotheses), "kept": self.kept,
@@ -319,10 +398,12 @@ class Learner:
             "forgetting": min(1.0, period / own.memory), "tempering": own.tempering,
             "usual_friction": math.log(own.friction), "sliding": own.sliding**2, "angle_error": own.angle_error**2,
             "least_lag": least_lag, "most_lag": most_lag, "least_dead_time": least_dead, "most_dead_time": most_dead,
-            "most_stiffness": self.stiffness, "most_balance": 0.5 * math.log(own.balance), "most_bias": 1.5 * own.bias,
+            "most_stiffness": self.stiffness,
+            "most_balance": 0.5 * math.log(MOST_BALANCE if own.balance is None else own.balance),
+            "most_bias": MOST_BIAS if own.bias is None else own.bias,
             "modest": own.modest, **self._priors(),
             "cautious": own.cautious, "tolerated": own.tolerated, "most_caution": own.most_caution,
-            "tolerated_stiffness": own.tolerated_stiffness,
+            "tolerated_stiffness": own.tolerated_stiffness, "doubting_caution": own.doubting_caution,
             "longer": own.longer * period, "shorter": own.shorter * period, "stiffer": own.stiffer * period,
             "turning": own.turning * period, "wandering": own.wandering,
             "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise,
@@ -331,10 +412,11 @@ class Learner:
         return np.array([tuple(given[name] for name in Numbers._fields)], Numbers.dtype).view(float)
 
     def _priors(self) -> dict[str, float]:
-        """Standard deviations before the first sample, as the learner is given them."""
-        beliefs = memory_of(self.fresh(), 0).beliefs
-        names = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
-        return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in names}
+        """Standard deviations before the first sample of the first drive."""
+        first = copy.copy(self)
+        first.own = replace(self.own, start=None)
+        beliefs = memory_of(first.fresh(), 0).beliefs
+        return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in _TOLD}
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""
@@ -344,9 +426,9 @@ class Learner:
         kernel.memory_of(memory, 0).noise[:] = np.where(np.isfinite(variances), variances, 0.0)
         spread = np.zeros(kernel.STATES)
         spread[kernel.VY], spread[kernel.RATE] = 0.3, 0.1
-        spread[kernel.WIND] = own.wind * math.sqrt(0.5 * own.wind_time)
-        spread[kernel.BIAS], spread[kernel.BANK] = SPREAD * own.bias, own.bank
-        spread[kernel.STIFFNESS], spread[kernel.BALANCE] = self.stiffness_spread, SPREAD * 0.5 * math.log(own.balance)
+        spread[kernel.WIND] = self.wind * math.sqrt(0.5 * own.wind_time)
+        spread[kernel.BIAS], spread[kernel.BANK] = SPREAD * self.bias, own.bank
+        spread[kernel.STIFFNESS], spread[kernel.BALANCE] = self.stiffness_spread, SPREAD * 0.5 * math.log(self.balance)
         spread[kernel.FRICTION] = own.friction_spread
         spread[kernel.LAG], spread[kernel.DEAD_TIME] = self.grains
         spread[kernel.OFFSET] = 0.05
@@ -373,7 +455,7 @@ class Learner:
         cov = np.cov(pairs.T, ddof=0) + np.diag(np.square(self.grains))
         sigma = math.sqrt(max(float(cov.sum()), 1e-8))
         later = self.own.cautious / sigma * cov.sum(axis=1)
-        (least_lag, most_lag), (least_dead, most_dead) = self.ranges
+        (least_lag, most_lag), (least_dead, most_dead) = self.limits
         stiffness, balance, unsure = x[kernel.STIFFNESS], x[kernel.BALANCE], spread[kernel.STIFFNESS]
         caution = min(1.0 + (sigma / self.own.tolerated) ** 2, self.own.most_caution)
         believed = {
@@ -390,7 +472,7 @@ class Learner:
             "used_stiffness": math.exp(stiffness), "used_balance": math.exp(2.0 * balance),
             "used_bias": x[kernel.BIAS],
             "used_caution": caution * (1.0 + (unsure / self.own.tolerated_stiffness) ** 2),
-            "belief_state": float(BeliefState.LEARNING), "belief_at_bound": 0.0,
+            "belief_state": BeliefState.LEARNING, "belief_at_bound": 0.0,
         }  # fmt: skip
         memory[: len(kernel.BELIEFS)] = [believed[name] for name in kernel.BELIEFS]
 
@@ -438,7 +520,8 @@ class Learner:
         kept = {name: known[name] for name in LearnedCar.model_fields if name in known}
         seconds = self.period * float(found.count)
         seconds += 0.0 if self.own.start is None else self.own.start.seconds
-        return LearnedCar(car=self.car.name, **kept, seconds=seconds)
+        at_bound = ("", *kernel.QUANTITIES_BOUNDED)[int(known["at_bound"])]
+        return LearnedCar(car=self.car.name, **{**kept, "at_bound": at_bound}, seconds=seconds)
 
 
 def _middles(count: int) -> Array:

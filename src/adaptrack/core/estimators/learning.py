@@ -27,6 +27,12 @@ Estimation* (2006), chapters 10.2 and 13; R. Rajamani, *Vehicle Dynamics and Con
 Evidence about the delay counts while the hypotheses differ in their wheel angles; a car that stands or creeps, samples
 that are missing, repeated to the last bit or left out by the controller's filter teach nothing.
 
+The belief is in one state at a time. A mean of the squared innovations over their variance, 1 or less for filters that
+are right, above `CONTRADICTED` says that what is measured contradicts what is believed (the NIS test: Y. Bar-Shalom,
+X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4): the variances
+then grow to the prior's, and the evidence about the delay is forgotten. A quantity whose mean is at the end of its
+range is told as uncertain as before the first sample, however small the variance of the filters.
+
 The noise of each sensor is that of third differences of its samples, E(x_k - 3 x_(k-1) + 3 x_(k-2) - x_(k-3))^2 =
 20 sigma^2 for white noise: the motion of a car hardly shows in them.
 """
@@ -72,6 +78,11 @@ Numbers = record("Numbers", (
     "cautious",  # standard deviations of the delay that are added to its mean
     "tolerated", "most_caution",  # s, standard deviation that doubles R; largest factor on R
     "tolerated_stiffness",  # the same of s
+    "doubting_caution",  # factor on R while a quantity is at a bound, or in a contradiction
+    "unmodelled_lag", "unmodelled_dead_time", "unmodelled_delay",  # standard deviations beside those of the filters
+    "unmodelled_stiffness", "unmodelled_balance", "unmodelled_bias",
+    "window",  # share of a period in the mean of the squared innovations
+    "returning", "doubting",  # likewise of the way back to the prior in a contradiction, and of the doubt
     "longer", "shorter",  # s per period, by which what is believed of lag and dead time changes at most
     "stiffer",  # likewise of s
     "turning",  # rad per period, likewise of the bias
@@ -93,12 +104,22 @@ BELIEFS = (
     "belief_friction", "belief_friction_sigma",  # sigma of its logarithm
     "belief_noise",  # of the yaw rate, over what was given
     "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
-    "belief_state", "belief_at_bound",  # `BeliefState`; 1 + place in `QUANTITIES_BOUNDED` of what is at its bound, or 0
+    "belief_state", "belief_at_bound",  # `LEARNING`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
-BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
 QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
-"""What may be at a bound, as `belief_at_bound` counts it from 1."""
+LAG_BOUND, DEAD_TIME_BOUND, STIFFNESS_BOUND, BALANCE_BOUND, BIAS_BOUND = range(5)
+"""Whose ranges have ends."""
+LEARNING, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
+"""States of the belief; of those that apply the last one is told."""
+CONTRADICTED, AGREED = 2.0, 1.3
+"""Mean of squared innovations over their variance at which a contradiction begins, and ends."""
+CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
+"""Standard deviations of the delay (s) and of s, in the filters, below both of which the belief settles, and above one
+of which it does so no longer."""
+NEAR, AWAY = 0.01, 0.03
+"""Shares of a range within which of its end a mean is at the bound, and beyond which no longer."""
+BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
 
 STATES = 11
 VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION, LAG, DEAD_TIME, OFFSET = range(STATES)
@@ -111,6 +132,8 @@ Memory = record("Memory", (
     "count",  # steps so far
     "slow",  # 1 while the car is too slow to learn from
     "bias_before",  # rad, bias in the controller's filter
+    "disagreement",  # mean of squared innovations over their variance
+    "doubt",  # 0 to 1, of what is at a bound or contradicted: by which R is raised
     ("noise", (float64, kalman.SENSORS)),  # variances of the sensors as learned
     ("noise_count", (float64, kalman.SENSORS)),  # from so many samples
     ("last", (float64, kalman.SENSORS)), ("second_last", (float64, kalman.SENSORS)),
@@ -125,6 +148,7 @@ _SENT = size_of(Memory)
 Hypothesis = record("Hypothesis", (
     "wheels", "by_lag",  # rad, wheel angle; rad/s, its derivative over the lag
     "swept", "swept_by_lag",  # both integrated over the last period
+    "disagreement",  # squared innovations over their variance, mean of the sensors at the last sample
     "evidence", "weight",  # logarithm of its likelihood; weight in the mixture
     ("x", (float64, _ROW)), ("covariance", (float64, STATES, _ROW)),
 ))  # fmt: skip
@@ -137,6 +161,8 @@ Axle = record("Axle", ("slip", "force", "by_slip", "by_friction"))
 _states, _motion, _sensors = local(_ROW), local(2, _ROW), local(kalman.SENSORS)
 _TAKEN_IN = (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration, MEASURED.wheel_angle)
 """Sensors, in the order in which a hypothesis takes them in."""
+SHORTEST_LAG = 0.02
+"""s, a lag that makes no difference at a control period of 0.05 s: the least that is sought where nobody says more."""
 SLOWEST = 2.0
 """m/s, below which nothing is learned."""
 UNKNOWN = 0.1
@@ -371,7 +397,9 @@ def _take_in(sensor, value, variance, own, speed, by_dead_time, p):
     innovation = value - _reading(sensor, own, speed, by_dead_time, p, h)
     variance = scatter(variance, h, own.covariance, cross)
     correct(bounded(innovation, variance, p.bound), variance, cross, own.x, own.covariance)
-    return -0.5 * (min(square(innovation) / variance, square(p.bound)) + log(variance))
+    surprise = min(square(innovation) / variance, square(p.bound))
+    own.disagreement += surprise
+    return -0.5 * (surprise + log(variance))
 
 
 @inlined
@@ -510,15 +538,82 @@ def _toward(now, wanted, more, less):
 
 
 @inlined
-def _widened(sigma, prior, p):
-    """A standard deviation that is not too small, nor larger than what was given."""
-    return min(p.modest * sigma, max(prior, sigma))
+def _widened(variance, unmodelled, prior, bound, p, m):
+    """A standard deviation as told: not too small, not below the prior's at a bound, else not much above it."""
+    found = sqrt(square(p.modest) * variance + square(unmodelled))
+    least = prior if m.beliefs.belief_at_bound == 1.0 + bound else 0.0
+    return max(min(found, max(prior, sqrt(variance))), least)
+
+
+@inlined
+def _find_bound(p, m, memory):
+    """1 + the quantity whose mean is at the end of its range, 0: none. A delay of nothing is no bound."""
+    was, found = m.beliefs.belief_at_bound, 0.0
+    for quantity in range(len(QUANTITIES_BOUNDED)):
+        if quantity == LAG_BOUND:
+            value, low, high = _mean(LAG, p, memory), p.least_lag, p.most_lag
+            low = low if low > SHORTEST_LAG else -math.inf
+        elif quantity == DEAD_TIME_BOUND:
+            value, low, high = _mean(DEAD_TIME, p, memory) - p.computation, p.least_dead_time, p.most_dead_time
+            low = low if low > 0.0 else -math.inf
+        elif quantity == STIFFNESS_BOUND:
+            value, high = _mean(STIFFNESS, p, memory), p.most_stiffness
+            low = -high
+        elif quantity == BALANCE_BOUND:
+            value, high = _mean(BALANCE, p, memory), p.most_balance
+            low = -high
+        else:
+            value, high = _mean(BIAS, p, memory), p.most_bias
+            low = -high
+        share = AWAY if was == 1.0 + quantity else NEAR
+        width = 2.0 * high if low == -math.inf else high - low
+        at_end = min(value - low, high - value) < share * width
+        if width > 0.0 and at_end and (found == 0.0 or was == 1.0 + quantity):
+            found = 1.0 + quantity
+    return found
+
+
+@inlined
+def _find_state(p, m, memory):
+    """The state of the belief, and the doubt at a bound."""
+    b, was = m.beliefs, whole(m.beliefs.belief_state)
+    b.belief_at_bound = _find_bound(p, m, memory)
+    both = _covariance(LAG, LAG, p, memory) + _covariance(DEAD_TIME, DEAD_TIME, p, memory)
+    delay = sqrt(max(both + 2.0 * _covariance(LAG, DEAD_TIME, p, memory), 0.0))
+    stiffness = sqrt(max(_covariance(STIFFNESS, STIFFNESS, p, memory), 0.0))
+    most_delay, most_stiffness = CERTAIN if was == LEARNING else UNCERTAIN
+    b.belief_state = SETTLED_BELIEF if delay < most_delay and stiffness < most_stiffness else LEARNING
+    if b.belief_at_bound > 0.0:
+        b.belief_state = AT_BOUND
+    if m.disagreement > (AGREED if was == CONTRADICTORY else CONTRADICTED):
+        b.belief_state = CONTRADICTORY
+    m.doubt += p.doubting * ((1.0 if b.belief_state >= AT_BOUND else 0.0) - m.doubt)
+
+
+@inlined
+def _return_to_prior(p, m, memory):
+    """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
+    for i in range(whole(p.hypotheses)):
+        own = hypothesis(i, p.kept, memory)
+        own.evidence *= 1.0 - p.returning
+        _grow(LAG, p.prior_lag, own, p)
+        _grow(DEAD_TIME, p.prior_dead_time, own, p)
+        _grow(STIFFNESS, p.prior_stiffness, own, p)
+        _grow(BALANCE, 0.5 * p.prior_balance, own, p)
+        _grow(BIAS, p.prior_bias, own, p)
+
+
+@inlined
+def _grow(state, prior, own, p):
+    """A variance on its way to the prior's."""
+    own.covariance[state, state] += p.returning * max(square(prior) - own.covariance[state, state], 0.0)
 
 
 @inlined
 def _write_beliefs(p, m, memory):
     """Write what is learned, and let what the controller believes follow it."""
     b = m.beliefs
+    _find_state(p, m, memory)
     lag, of_lag = _moments(LAG, p, memory)
     dead_time, of_dead_time = _moments(DEAD_TIME, p, memory)
     stiffness, of_stiffness = _moments(STIFFNESS, p, memory)
@@ -533,12 +628,14 @@ def _write_beliefs(p, m, memory):
     b.belief_stiffness, b.belief_balance, b.belief_bias = exp(stiffness), exp(2.0 * balance), bias
     b.belief_bank, b.belief_friction = bank, exp(friction)
     b.belief_noise = sqrt(m.noise[MEASURED.yaw_rate] / p.variance[MEASURED.yaw_rate])
-    b.belief_lag_sigma = _widened(sqrt(of_lag), p.prior_lag, p)
-    b.belief_dead_time_sigma = _widened(sqrt(of_dead_time), p.prior_dead_time, p)
-    b.belief_delay_sigma = _widened(sigma, p.prior_delay, p)
-    b.belief_stiffness_sigma = _widened(sqrt(of_stiffness), p.prior_stiffness, p)
-    b.belief_balance_sigma = _widened(2.0 * sqrt(of_balance), p.prior_balance, p)
-    b.belief_bias_sigma = _widened(sqrt(of_bias), p.prior_bias, p)
+    b.belief_lag_sigma = _widened(of_lag, p.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
+    b.belief_dead_time_sigma = _widened(of_dead_time, p.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m)
+    b.belief_delay_sigma = _widened(variance, p.unmodelled_delay, p.prior_delay, LAG_BOUND, p, m)
+    if b.belief_at_bound == 1.0 + DEAD_TIME_BOUND:
+        b.belief_delay_sigma = max(b.belief_delay_sigma, p.prior_delay)
+    b.belief_stiffness_sigma = _widened(of_stiffness, p.unmodelled_stiffness, p.prior_stiffness, STIFFNESS_BOUND, p, m)
+    b.belief_balance_sigma = _widened(4.0 * of_balance, p.unmodelled_balance, p.prior_balance, BALANCE_BOUND, p, m)
+    b.belief_bias_sigma = _widened(of_bias, p.unmodelled_bias, p.prior_bias, BIAS_BOUND, p, m)
     b.belief_bank_sigma, b.belief_friction_sigma = sqrt(of_bank), sqrt(of_friction)
 
     later = p.cautious / sigma
@@ -549,8 +646,9 @@ def _write_beliefs(p, m, memory):
     b.used_stiffness = exp(_toward(log(b.used_stiffness), stiffness, p.stiffer, p.stiffer))
     b.used_balance = exp(_toward(log(b.used_balance), 2.0 * balance, p.stiffer, p.stiffer))
     b.used_bias = _toward(b.used_bias, bias, p.turning, p.turning)
-    caution = min(1.0 + variance / (p.tolerated * p.tolerated), p.most_caution)
-    b.used_caution = caution * (1.0 + of_stiffness / square(p.tolerated_stiffness))
+    caution = min(1.0 + variance / square(p.tolerated), p.most_caution)
+    caution *= 1.0 + of_stiffness / square(p.tolerated_stiffness)
+    b.used_caution = caution * (1.0 + m.doubt * (p.doubting_caution - 1.0))
 
 
 @inlined
@@ -564,13 +662,29 @@ def _advance(own, speed, age, measured, variance, p, memory):
     mixed, by_dead_time = _motion(), (before - own.wheels) / p.period
     f, g = _predict_state(own, speed, by_dead_time, p, mixed)
     _predict_covariance(own, mixed, f, g, p)
-    lag, dead_time, likelihood = own.x[LAG], own.x[DEAD_TIME], 0.0
+    lag, dead_time, likelihood, taken_in = own.x[LAG], own.x[DEAD_TIME], 0.0, 0.0
+    own.disagreement = 0.0
     for sensor in _TAKEN_IN:
         if variance[sensor] < math.inf:
+            taken_in += 1.0
             likelihood += _take_in(sensor, measured[sensor], variance[sensor], own, speed, by_dead_time, p)
+    own.disagreement = own.disagreement / taken_in if taken_in > 0.0 else math.nan
     _bound(own, p)
     own.wheels += own.by_lag * (own.x[LAG] - lag) + by_dead_time * (own.x[DEAD_TIME] - dead_time)
     return likelihood
+
+
+@inlined
+def _judge(p, m, memory):
+    """Compare what was measured with what was expected; in a contradiction, believe less."""
+    surprise = 0.0
+    for i in range(whole(p.hypotheses)):
+        own = hypothesis(i, p.kept, memory)
+        surprise += own.weight * own.disagreement
+    if math.isfinite(surprise):
+        m.disagreement += p.window * (surprise - m.disagreement)
+    if m.beliefs.belief_state == CONTRADICTORY:
+        _return_to_prior(p, m, memory)
 
 
 @exported(LEARN, name="learn_car")
@@ -605,6 +719,7 @@ def learn(speed, measured, command, left_out, parameters, memory):
             own = hypothesis(i, p.kept, memory)
             own.evidence = (1.0 - p.forgetting) * own.evidence + p.tempering * own.weight
     _weigh(p, memory)
+    _judge(p, m, memory)
     _write_beliefs(p, m, memory)
 
 
