@@ -1,21 +1,21 @@
 """Whether the intervals of `identify` are true on logs made by a plant that is not the model of the fit.
 
     python benchmarks/identifying_foreign.py [--logs 300] [--seed 50000] [--as-believed] [--flags] [--rows FILE]
-    python benchmarks/identifying_foreign.py --raw --factors FILE [--rows FILE]
+    python benchmarks/identifying_foreign.py --factors FILE [--rows FILE]
 
 The plant has four wheels with load transfer, tyres of a brush or a curved Magic Formula with relaxation, stiffness that
 grows less than the load, a gust of one of three spectra (smooth of second order, Ornstein-Uhlenbeck, bursts of
-1 - cos) with one of three ratios of turning moment to side force (0, 1, 2.5 times the believed one), bank to 6 %, in
-half of the logs partly with the bends, white yaw acceleration. A driver who looks ahead steers it for 120 s along
-bends and lane changes. Angles and yaw rate are quantised; the inertial unit is late by 0 to 0.3 s against a logged wheel
+1 - cos) with one of three ratios of turning moment to side force (0, 1, 2.5 times the believed one), bank to 6 %,
+in half of the logs partly with the bends, white yaw acceleration. A driver who looks ahead steers it for 120 s along
+bends and lane changes. Angles and yaw rate are quantised; the inertial unit is late by 0 to 0.3 s against a wheel
 angle, and in half of the logs with a command alone. A log holds a command, a wheel angle, or both; lateral velocity
 (at a place of its own, turned a little) and acceleration in some.
 
 `--as-believed` gives the same logs a gust as the model believes it (smooth, ratio 1) and no bank: for the widths.
-`--flags` asks `identify` whether a log is consistent. `--factors` prints, from rows made with `--raw`, the factors
-that make 90 % intervals hold, with one spectrum, ratio, tyre left out in turn.
+`--flags` asks `identify` whether a log is consistent. `--factors` reads rows of training logs and
+prints how often intervals hold in each spectrum, ratio, tyre, set of signals by factors found on the others.
 
-Judged: seeds from 50000; `calibration.CORRECTIONS` was found on seeds 40000 to 40299; the method on 45000 to 45299.
+Judged: seeds from 50000; `calibration.CORRECTIONS` was found on seeds from 40000, the method on seeds from 45000.
 """
 
 from __future__ import annotations
@@ -45,6 +45,10 @@ SPECTRA, LEVERS, TYRES, SIGNALS = (
 DURATION, STEP, GRAVITY = 120.0, 0.005, 9.80665
 NEAR_DELAY, HALF, NORMAL_90 = 0.03, 0.5, 1.6448536269514722
 """s; share of the spread before; half width of 90 %."""
+WITHOUT = {
+    name: calibration.Correction(1.0, *each[1:]) for name, each in getattr(calibration, "CORRECTIONS", {}).items()
+}
+"""Corrections without their factors."""
 GROUPS = ("spectrum", "lever", "tyre", "signals")
 
 
@@ -284,15 +288,20 @@ def judge(seed: int, as_believed: bool, flags: bool) -> dict[str, Any]:
     begun = time.process_time()
     try:
         likelihood = prepare(log, told(car))
-        estimates = reported(likelihood, *fitted(likelihood))
+        fit = fitted(likelihood)
     except InvalidInput as error:
         return {"seed": seed, "refused": str(error)} | kind
     row: dict[str, Any] = {"seed": seed, "time": time.process_time() - begun} | kind
+    estimates = reported(likelihood, *fit)
+    with_factors, calibration.CORRECTIONS = calibration.CORRECTIONS, WITHOUT
+    plain = reported(likelihood, *fit)
+    calibration.CORRECTIONS = with_factors
     if flags:
         row["consistent"] = getattr(at.identify(log, told(car)), "consistent", None)
     row["estimates"] = {
         name: {
             "true": truth[name], "value": each.value, "low": each.low, "high": each.high, "left": each.spread_left,
+            "plain": (plain[name].low, plain[name].high),
             "positive": bool(each.low > 0.0 and abs(each.low * each.high - each.value**2) < 1e-6 * each.value**2),
         }
         for name, each in estimates.items()
@@ -302,8 +311,8 @@ def judge(seed: int, as_believed: bool, flags: bool) -> dict[str, Any]:
 
 
 def _standing(each: dict[str, Any]) -> tuple[float, float]:
-    """Error and standard error in the scale of the interval."""
-    value, low, high, true = each["value"], each["low"], each["high"], each["true"]
+    """Error and standard error without a factor, in the scale of the interval."""
+    value, (low, high), true = each["value"], each["plain"], each["true"]
     if each["positive"]:
         return math.log(value / max(true, 1e-3)), math.log(high / low) / (2.0 * NORMAL_90)
     return value - true, (high - low) / (2.0 * NORMAL_90)
@@ -358,7 +367,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def left_out(rows: list[dict[str, Any]], train: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Coverage of rows without corrections in each group, by factors found on the other groups of other rows."""
+    """Coverage in each group, by factors found on the other groups of training rows."""
     found = {}
     for group in GROUPS:
         for which in sorted({str(row[group]) for row in rows if group in row}):
@@ -387,7 +396,7 @@ def _print(found: dict[str, Any]) -> None:
     for name, each in found["coverage"].items():
         count, factor, error, width = (found[key][name] for key in ("count", "factor", "error", "width"))
         print(
-            f"{name:20s} told {count:4d}  90 % interval holds {each:.3f}  factor {factor:.2f}  median error {error:.3g}  "
+            f"{name:20s} told {count:4d}  interval holds {each:.3f}  factor {factor:.2f}  median error {error:.3g}  "
             f"width {width:.3g}"
         )
     print(f"mean over quantities {np.mean(list(found['coverage'].values())):.3f}")
@@ -399,14 +408,11 @@ def main() -> None:
     ask.add_argument("--logs", type=int, default=300)
     ask.add_argument("--seed", type=int, default=50000)
     ask.add_argument("--as-believed", action="store_true")
-    ask.add_argument("--raw", action="store_true", help="without the factors on standard errors")
     ask.add_argument("--flags", action="store_true")
-    ask.add_argument("--factors", type=Path, help="rows made with --raw on other seeds, for the groups left out")
+    ask.add_argument("--factors", type=Path, help="rows of training logs, for the groups left out")
     ask.add_argument("--rows", type=Path, help="file of JSON lines that rows are kept in")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
-    if given.raw:
-        calibration.CORRECTIONS = {name: each._replace(factor=1.0) for name, each in calibration.CORRECTIONS.items()}
     wanted = range(given.seed, given.seed + given.logs)
     rows = [row for row in kept_rows(given.rows) if row["seed"] in wanted]
     for seed in sorted(set(wanted) - {row["seed"] for row in rows}):

@@ -164,15 +164,14 @@ class Likelihood:
             de[i], ds[i] = (e_up - e) / STEP, (s_up - s) / STEP
         with np.errstate(all="ignore"):  # what comes of it is looked at
             scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
-            roots = np.stack([de / np.sqrt(s), ds / (np.sqrt(2.0) * s)], axis=1)
-            flat = roots.reshape(self.free.size, -1)
-            information = flat @ flat.T + np.eye(self.free.size)
+            by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
+            information = _squares(by_error) + _squares(by_size) + np.eye(self.free.size)
         if not (np.isfinite(information).all() and np.isfinite(scores).all()):
             raise InvalidInput(
                 "identify: what the log tells is not finite: a signal is off by orders of magnitude; check columns and "
                 "units (--columns, --units)."
             )
-        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores, roots)
+        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores, by_error, by_size)
 
     def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
         """The most likely point from a start, and what is known there."""
@@ -205,10 +204,10 @@ class Likelihood:
         inverse = np.linalg.inv(at.information)
         stretch = np.broadcast_to(np.floor(self.log.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
         scatter = inverse @ inverse  # of the prior
-        for each in np.unique(stretch):
-            here = stretch == each
-            roots = at.roots[:, :, here].reshape(self.free.size, -1)
-            moved = np.linalg.solve(at.information - roots @ roots.T, at.scores[:, here].sum(axis=1))
+        for number in np.unique(stretch):
+            here = stretch == number
+            its = _squares(at.by_error[:, here]) + _squares(at.by_size[:, here])
+            moved = np.linalg.solve(at.information - its, at.scores[:, here].sum(axis=1))
             scatter += np.outer(moved, moved)
         variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
         widened = np.sqrt(variance / np.diag(inverse))
@@ -244,8 +243,14 @@ class Scored:
     information: Array
     scores: Array
     """(free, innovations that count): terms of the gradient, without the prior's"""
-    roots: Array
-    """(free, 2, innovations that count): what the information is the sum of squares of, without the prior's"""
+    by_error: Array
+    """(free, innovations that count), whose squares, with those of `by_size`, make the information"""
+    by_size: Array
+
+
+def _squares(rows: Array) -> Array:
+    """rows rows', in one thread: those of a BLAS would wait for each other longer than this takes."""
+    return np.einsum("in,jn->ij", rows, rows)
 
 
 def _objective(e: Array, s: Array, z: Array) -> float:
