@@ -59,7 +59,8 @@ LEAST_SPAN, IN_THE_END = 1.0, 10.0
 STILL_OPEN = 0.5
 """Share of the first standard deviation of the delay above which the log has report little of it."""
 WORSE = 1.1
-"""Times the error of the first belief, with 95 %, from which what was learned is doubted."""
+"""Times the error of a simpler predictor, with 95 %, from which what was learned is doubted."""
+SIMPLER = {"held": "the yaw rate held", "first": "the first belief", "steady": "the steady turn"}
 OPTIONAL: tuple[tuple[str, ...], ...] = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
 """Signals without which the logs are gone through again where the learned model is not best, or is doubted;"""
 SPOILT = 0.9
@@ -330,8 +331,8 @@ def _judged(
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
     doubts = [each.what for each in contradictions] + _mostly(contradictory, late)
-    if any(each.ours.low > WORSE for each in predictions if each[:2] == ("first", "yaw_rate") and each.part == "all"):
-        doubts.append("the yaw rate is predicted worse than by the belief before the first sample")
+    better = {each.predictor for each in predictions if each.quantity == "yaw_rate" and each.ours.low > WORSE}
+    doubts += [f"{words} predicts the yaw rate better" for name, words in SIMPLER.items() if name in better]
     return ShadowLog(
         source=read.name, time=time, command=found["command"], proposed=found["proposed"],
         beliefs={name: found[name] for name in kernel.BELIEFS}, measured=measured, predicted=expected,
