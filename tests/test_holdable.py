@@ -59,6 +59,11 @@ def test_a_bend_is_held_up_to_the_speed_at_which_not_even_coasting_is():
     assert TABLE.speed(0.004, 0.1)[0] > TABLE.speed(0.004)[0]  # banked inwards
 
 
+def test_a_tight_bend_below_the_speeds_of_the_table_counts_with_the_lateral_acceleration_that_it_has():
+    w, held = TABLE.along([1.0 / 12.0], [0.0], [1.0])
+    assert np.interp(6.0**2, w, held[0]) == pytest.approx(float(TABLE.deceleration(10.0, 3.0, 1.0)), abs=0.02)
+
+
 def test_a_table_is_the_same_after_its_file_and_one_with_a_hole_is_refused(tmp_path):
     TABLE.to_toml(tmp_path / "held.toml")
     assert load_holdable(tmp_path / "held.toml") == TABLE

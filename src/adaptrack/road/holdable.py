@@ -86,7 +86,7 @@ class HoldableSpeed(Record):
         curvature: (n,) 1/m; bank: (n,) rad; friction: (n,). No more is held at a higher speed than at a lower one.
         """
         k, tilt, mu = (np.atleast_1d(np.asarray(each, float))[:, None] for each in (curvature, bank, friction))
-        w = np.linspace(self.speeds[0], self.speeds[-1], SPEEDS) ** 2
+        w = np.linspace(0.0, self.speeds[-1], SPEEDS) ** 2
         felt = w * k - GRAVITY * np.sin(tilt)
         return w, np.minimum.accumulate(self.deceleration(np.sqrt(w), felt, mu), axis=1)
 
