@@ -166,7 +166,7 @@ class Steering(Record):
     dead_time: float | None = Field(
         default=None, ge=0, le=10, description="s, from a command until the wheels begin to move"
     )
-    rate: float | None = Field(default=None, gt=0, description="rad/s, fastest change of the angle")
+    rate: float | None = Field(default=None, gt=0, le=100, description="rad/s, fastest change of the angle")
     limit: float | None = Field(default=None, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
     ratio: float | None = Field(
         default=None, gt=0, le=100, description="-, angle of the steering wheel over that of the road wheels"

@@ -3,7 +3,7 @@
 What a loop measures is redundant: positions move along the yaw by the speed, the yaw changes by the yaw rate, the car
 turns as its steering asks. Each such relation is a linear regression on windows of half a second; of its parameters
 some are honest (1, a little beside it), some are known mistakes (-1, 57.3, 1/3.6, 0.2 s). A mistake is named when it
-explains what was seen better than every honest value, by `EVIDENCE` in twice the logarithm of the likelihood ratio
+explains what was measured better than every honest value, by `EVIDENCE` in twice the logarithm of the likelihood ratio
 (A. Wald, *Sequential Analysis*, 1947), with overlapping windows counted once and the noise at least as large as what
 the mistake itself leaves unexplained. Old windows are forgotten over `MEMORY`.
 """
@@ -31,7 +31,7 @@ LONGEST = 1.2
 MEMORY = 12.0
 """s, after which a window counts 1/e."""
 EVIDENCE, SOON, SURE, AGAIN = 12.0, 9.0, 5.0, 2
-"""-, see above; of mistakes that nothing honest looks like; where what else is seen points there too; looks in a row at
+"""-, see above; of mistakes that nothing honest looks like; where what else is measured points there too; looks in a row at
 which it must be there."""
 SLOW, GENTLE, ROUGH, STEEP = 3.0, 2.5, 5.0, 6.0
 """m/s: slower, nothing is compared; m/s^2, lateral: of what says which point of the car is measured, of what says that
@@ -64,7 +64,7 @@ class Finding(NamedTuple):
     seconds: float
     """of driving that could be compared"""
     label: str
-    """the mistake that explains best what was seen; empty: an honest value does, or too little was seen"""
+    """the mistake that explains best what was measured; empty: an honest value does, or too little was measured"""
 
 
 class _Comparison:
@@ -73,10 +73,10 @@ class _Comparison:
     def __init__(self, compared: str, hypotheses: Iterable[_Hypothesis], overlap: int, intercept: float = 0.0,
                  evidence: float = EVIDENCE) -> None:  # fmt: skip
         """intercept: its standard deviation, in the unit of y."""
-        told = list(hypotheses)
-        self.compared, self.labels = compared, [each.label for each in told]
+        given = list(hypotheses)
+        self.compared, self.labels = compared, [each.label for each in given]
         self.overlap, self.intercept, self.evidence = overlap, intercept, evidence
-        self.rows = np.array([(*each.parameters, -1.0) for each in told])
+        self.rows = np.array([(*each.parameters, -1.0) for each in given])
         self.honest = np.array([not label for label in self.labels])
         size = self.rows.shape[1] + 1
         self.gram, self.full = np.zeros((size, size)), np.ones(size)
@@ -87,7 +87,7 @@ class _Comparison:
     def add(self, x: Sequence[float] | Array, y: float, noise: float, time: float, sure: bool = False) -> str:
         """Take in a window; the mistake that is now certain, or nothing.
 
-        time: s, since the last window; sure: whether what else is seen makes a mistake likely.
+        time: s, since the last window; sure: whether what else is measured makes a mistake likely.
         """
         self.full[:-2], self.full[-2] = x, y
         each, left = self.full / noise, math.exp(-time / MEMORY)
@@ -120,7 +120,7 @@ class _Comparison:
 class _Delayed(_Comparison):
     """One with a bank of delays, y = b_i x_i + c_i h_i + intercept, with a free c_i for what was before the beginning.
 
-    x are what was asked for by each delay, with the first command as it was before the beginning, then the same with
+    x are what was requested by each delay, with the first command as it was before the beginning, then the same with
     its negative, for negative b; h the share of what was before the beginning.
     """
 
@@ -129,11 +129,11 @@ class _Delayed(_Comparison):
 
     def __init__(self, compared: str, factors: dict[str, tuple[float, ...]], *more: float) -> None:
         n = DELAYS.size
-        told = [(label, factor, i) for label, some in factors.items() for factor in some for i in range(n)]
-        self.factor = np.array([factor for _, factor, _ in told])
-        self.place = np.array([i if factor >= 0.0 else n + i for _, factor, i in told])
-        self.free = np.array([2 * n + i for _, _, i in told])
-        super().__init__(compared, [_Hypothesis(label, (0.0,) * 3 * n) for label, _, _ in told], 2, *more)
+        given = [(label, factor, i) for label, some in factors.items() for factor in some for i in range(n)]
+        self.factor = np.array([factor for _, factor, _ in given])
+        self.place = np.array([i if factor >= 0.0 else n + i for _, factor, i in given])
+        self.free = np.array([2 * n + i for _, _, i in given])
+        super().__init__(compared, [_Hypothesis(label, (0.0,) * 3 * n) for label, _, _ in given], 2, *more)
 
     def misfits(self, which: slice | list[int] = ALL) -> Array:
         gram, factor, place, free = self.gram, self.factor[which], self.place[which], self.free[which]
@@ -236,7 +236,7 @@ class InputCheck:
         self._relations = _relations(vehicle)
         self._labels: set[str] = set()
         self._ticks: deque[_Tick] = deque(maxlen=HISTORY)
-        self._asked: deque[tuple[float, float, float]] = deque(maxlen=40)  # time, integrals of turning and command
+        self._requested: deque[tuple[float, float, float]] = deque(maxlen=40)  # time, integrals of turning and command
         self._sums = _Sums()
         self._last: tuple[float, ...] = ()
         self._began = self._command = self._lagged = 0.0
@@ -302,18 +302,18 @@ class InputCheck:
     def _advance(self, now: float, speed: float, command: float) -> None:
         """Go on with what the commands ask for."""
         step = now - self._now
-        if not 0.0 < step < LONGEST or not self._asked:
-            self._asked.clear()
-            self._asked.append((now, 0.0, 0.0))
+        if not 0.0 < step < LONGEST or not self._requested:
+            self._requested.clear()
+            self._requested.append((now, 0.0, 0.0))
             self._began, self._command, self._lagged = now, command, 0.0
             self._first = command * self._gain(speed), command
             return
-        _, turning, angle = self._asked[-1]
+        _, turning, angle = self._requested[-1]
         before = self._lagged
         self._lagged += (self._command - before) * -math.expm1(-step / LAG)
         middle, most = 0.5 * (before + self._lagged), STEEP / max(speed, SLOW)
         rate = min(max(middle * self._gain(speed), -most), most)
-        self._asked.append((now, turning + step * rate, angle + step * middle))
+        self._requested.append((now, turning + step * rate, angle + step * middle))
         self._command = command
 
     def _gain(self, speed: float) -> float:
@@ -393,8 +393,8 @@ class InputCheck:
             self._say("speed late", "speed and positions are of clocks that are some 0.2 s apart, one of them is late: "
                       "give each the time at which it was taken.")  # fmt: skip
         elif label:
-            seen = far / max(way, 1e-9)
-            self._say("speed", f"speed: the positions move {seen:.2f} times as fast: {label}")
+            measured = far / max(way, 1e-9)
+            self._say("speed", f"speed: the positions move {measured:.2f} times as fast: {label}")
 
     def _compare_course(self, aside: float, course: float, yaw: float, far: float, rate: float) -> None:
         """The direction in which positions move against the yaw."""
@@ -496,7 +496,8 @@ class InputCheck:
     def _compare_pull(self, window: Sequence[_Tick]) -> None:
         """Lateral acceleration against speed times yaw rate."""
         last = window[-1]
-        if math.isfinite(last.pull + last.yaw_rate) and "yaw_rate" not in self._labels:
+        calm = abs(last.speed * last.yaw_rate) < ROUGH and not self.sliding  # a car that spins turns without it
+        if math.isfinite(last.pull) and calm and "yaw_rate" not in self._labels:
             label = self._relations["pull"].add((last.speed * last.yaw_rate,), last.pull, 0.4, last.time)
             if label:
                 self._say("pull", f"lateral_acceleration: it is {last.pull:.2g} m/s^2 where speed times yaw_rate is "
@@ -506,15 +507,15 @@ class InputCheck:
         """The turning of the car, and its wheels, against the commands of some time ago."""
         last, before = window[-1], window[-3]
         span = last.t - before.t
-        if self._labels & {"course", "yaw_rate", "time", "speed"} or len(self._asked) < 3 or self.sliding:
+        if self._labels & {"course", "yaw_rate", "time", "speed"} or len(self._requested) < 3 or self.sliding:
             return
         both = np.concatenate([last.t - DELAYS, before.t - DELAYS])
-        times, turning, angles = np.array(self._asked).T
+        times, turning, angles = np.array(self._requested).T
         old = np.exp(-np.maximum(last.t - 0.5 * span - DELAYS - self._began, 0.0) / LAG)
         if math.isfinite(last.wheel):
             wheel = (window[-1].wheel * window[-1].time + window[-2].wheel * window[-2].time) / span
-            asked = _asked(both, times, angles, old * self._first[1], old, span)
-            label = self._relations["wheel"].add(asked, wheel, 0.015, last.time)
+            requested = _requested(both, times, angles, old * self._first[1], old, span)
+            label = self._relations["wheel"].add(requested, wheel, 0.015, last.time)
             if label:
                 self._say("wheel", f"wheel_angle: it is {wheel:.2g} rad at a command of {self._command:.2g}: {label}")
         rate = sum(each.yaw_rate * each.time for each in window[-2:]) / span
@@ -524,10 +525,10 @@ class InputCheck:
         agree = not apart > 0.015 + 0.3 * most
         if not math.isfinite(rate) or not agree or abs(aside) > 0.14:
             return
-        asked = _asked(both, times, turning, old * self._first[0], old, span)
-        against = bool((asked[: DELAYS.size] * rate < 0.0).all())  # all that was asked for
+        requested = _requested(both, times, turning, old * self._first[0], old, span)
+        against = bool((requested[: DELAYS.size] * rate < 0.0).all())  # all that was requested
         sure = against and abs(rate) > 0.05 and not apart > 0.4 * most
-        label = self._relations["steering"].add(asked, rate, 0.01 + 0.08 * abs(rate), last.time, sure)
+        label = self._relations["steering"].add(requested, rate, 0.01 + 0.08 * abs(rate), last.time, sure)
         if label == "sign":
             self.against_steering = True
             self._say("steering", "command: the car turns to the other side: the steering takes it with the other "
@@ -613,7 +614,7 @@ def _relations(car: Vehicle | None) -> dict[str, _Comparison]:
     return found
 
 
-def _asked(at: Array, times: Array, integral: Array, before: Array, free: Array, span: float) -> Array:
+def _requested(at: Array, times: Array, integral: Array, before: Array, free: Array, span: float) -> Array:
     """What `_Delayed` compares with: means of an integral, with what was before the beginning or its negative."""
     ends, starts = np.interp(at, times, integral).reshape(2, -1)
     mean = (ends - starts) / span

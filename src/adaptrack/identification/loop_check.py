@@ -19,7 +19,7 @@ class LoopCheck(NamedTuple):
     """What a log says of its own columns."""
 
     contradictions: tuple[str, ...]
-    """sentences: the column, what is seen, the remedy"""
+    """sentences: the column, what is measured, the remedy"""
     found: tuple[Finding, ...]
     seconds: float
     """from the first sample to the last, on the log's clock"""

@@ -23,12 +23,12 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
         }
         for each in check.found
     ]  # fmt: skip
-    told = sum(row["verdict"] != "cannot tell" for row in rows)
+    known = sum(row["verdict"] != "cannot tell" for row in rows)
     sliding = (f"The car slid for {check.sliding:.1f} s.",) if check.sliding else ()
     return Result(
         kind="check-loop",
         title=f"Inputs of a loop: {log}",
-        answer=_answer(check, told, len(rows)),
+        answer=_answer(check, known, len(rows)),
         record={"log": log, "seconds": check.seconds, "sliding": check.sliding,
                 "contradictions": list(check.contradictions), "compared": rows},
         tables=[ResultTable("console", f"{check.seconds:.0f} s of {log}", COLUMNS, rows, brief=True)],
@@ -38,9 +38,9 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
     )  # fmt: skip
 
 
-def _answer(check: LoopCheck, told: int, relations: int) -> str:
+def _answer(check: LoopCheck, known: int, relations: int) -> str:
     if check.contradictions:
         return f"Inputs contradict each other. {check.contradictions[0]}"
-    if not told:
+    if not known:
         return "Nothing could be compared: drive bends, and log speed with x, y and yaw, or yaw rate with the command."
-    return f"No contradiction, in {told} of {relations} comparisons; the others lack a column or bends."
+    return f"No contradiction, in {known} of {relations} comparisons; the others lack a column or bends."
