@@ -394,7 +394,8 @@ def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian), 0.0))
     before = np.linalg.norm(jacobian, axis=1)
     for i, (name, _, _, positive, _) in enumerate(rows):
-        spread[i] = corrected(name, spread[i], math.exp(-mean[i]) if positive else 1.0, before[i])
+        value = math.exp(mean[i]) if positive else float(mean[i])
+        spread[i] = corrected(name, spread[i], value, positive, before[i])
     return Said(mean, spread**2)
 
 
