@@ -38,8 +38,9 @@ SHIFTS = np.arange(-1.0, 1.01, 0.02)
 """s, between two signals of one motion."""
 AHEAD = 0.85
 """Share of what is unexplained behind the steering that a yaw rate ahead of it must leave at most."""
-LATE, LATE_FELT = 0.08, (-0.2, 0.3)
-"""s, from which the yaw rate does not belong to the yaw; ends of what the lateral velocity parts a_y from v r."""
+LATE = 0.08
+"""s, from which the yaw rate does not belong to the yaw. Lateral acceleration shows no clock: what the lateral velocity
+adds parts it from v r by up to 0.3 s."""
 MENDED = 0.5
 """Share of what is unexplained that a shift of clocks must leave at most."""
 _DEGREE = math.pi / 180.0
@@ -182,19 +183,13 @@ def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
 
 
 def _check_clocks(log: Log, wheelbase: float, steered: str) -> None:
-    """The yaw rate against the yaw, the lateral acceleration and the steering that it cannot run ahead of."""
+    """The yaw rate against the yaw, and the steering that it cannot run ahead of."""
     both = np.isfinite(log.yaw) & np.isfinite(log.yaw_rate) & ~log.begins
     if both.sum() >= LEAST_BOTH:
         rate = np.gradient(log.yaw[both], log.time[both])
         found = _lateness(log.time[both], smoothed(log.time[both], rate), log.yaw_rate[both])
         if abs(found.factor) > LATE:
             _refuse_clock("yaw_rate", "yaw", found.factor)
-    both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate) & (log.speed > 8.0)
-    if both.sum() >= LEAST_BOTH:
-        felt = smoothed(log.time[both], log.acceleration[both])
-        found = _lateness(log.time[both], felt, log.speed[both] * log.yaw_rate[both])
-        if not LATE_FELT[0] <= found.factor <= LATE_FELT[1]:
-            _refuse_clock("yaw_rate", "acceleration", found.factor)
     ahead, behind = (_turning(log, wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
     if ahead.correlation >= CLEAR and 1.0 - ahead.correlation < AHEAD * (1.0 - abs(behind.correlation)):
         raise InvalidInput(
@@ -227,8 +222,8 @@ def _lateness(time: Array, true: Array, late: Array) -> _Slope:
 def _refuse_clock(name: str, other: str, late: float) -> None:
     raise InvalidInput(
         f"log: {name} is {abs(late):.2f} s {'later' if late > 0.0 else 'earlier'} than {other} says: their clocks "
-        "differ, or one is filtered. Name the column of its own times, --clock {name}=COLUMN, or mend it: --late "
-        f"{name}={late:.2f} (s), or --late {other}={-late:.2f}."
+        "differ, or one is filtered. Name the column of its own times (--clock {name}=COLUMN) or mend it: "
+        f"--late {name}={late:.2f} (s), or --late {other}={-late:.2f}."
     )
 
 
