@@ -87,7 +87,7 @@ def test_where_nobody_says_lag_or_dead_time_the_mpc_learns_and_says_so(given):
     assert mpc.learner is not None
     assert "; learns, as nobody says " in repr(mpc)
     (short, long), (soon, late) = ranges(mpc)
-    assert f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s, stiffness x or / " in repr(mpc)
+    assert f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s" in repr(mpc)
     assert mpc.describe()["learning"] == mpc.learns
     assert isinstance(mpc.step([0.0] * 4, 15.0, np.zeros(40)).belief_state, BeliefState)
 
