@@ -31,7 +31,7 @@ LONGEST = 1.2
 MEMORY = 12.0
 """s, after which a window counts 1/e."""
 EVIDENCE, SOON, SURE, AGAIN = 12.0, 9.0, 5.0, 2
-"""-, see above; of mistakes that nothing honest looks like; where what else is measured points there too; looks in a row at
+"""-, see above; of mistakes that nothing honest looks like; where other measurements point there too; looks in a row at
 which it must be there."""
 SLOW, GENTLE, ROUGH, STEEP = 3.0, 2.5, 5.0, 6.0
 """m/s: slower, nothing is compared; m/s^2, lateral: of what says which point of the car is measured, of what says that
