@@ -14,11 +14,11 @@ import pytest
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.cli import main
-from adaptrack.control import tracker as tracker_module
-from adaptrack.control.controllers import MPC, Learning, Stanley
+from adaptrack.control.controllers import MPC, BeliefState, Learning, Stanley
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.tracker import Status, Tracker
+from adaptrack.core.estimators.learning import BELIEFS
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -205,16 +205,15 @@ def test_a_tracker_says_that_the_car_slides():
 
 # -- the belief -------------------------------------------------------------------------------------------------------
 def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch, caplog):
-    monkeypatch.setattr(tracker_module, "_STATE", 0)
     own = Tracker(MPC(CAR, profile="road", belief="unknown", learning=Learning()), BEND)
     monkeypatch.setattr(
         own.controller, "step", lambda *given, step=own.controller.step, **more: step(*given, **more)._replace(
-            learned=(2.0,)
+            learned=tuple(2.0 * (name == "belief_state") for name in BELIEFS)
         )
     )  # fmt: skip
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
         told = [own.step(0.05 * k, 0.75 * k, 0.0, 0.0, 15.0, 0.0).belief for k in range(4)]
-    assert told == [2] * 4
+    assert told == [BeliefState.AT_BOUND] * 4
     assert [record.message.count("at the end of its range") for record in caplog.records] == [1]
 
 

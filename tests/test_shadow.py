@@ -122,9 +122,9 @@ def test_a_wrong_sign_is_said_and_nothing_is_believed(drive):
 def test_a_belief_at_its_bound_is_warned_of(drive):
     narrow = at.Uncertainty(lag=0.02, dead_time=0.0, stiffness=1.2)
     found = at.shadow(drive[0], CAR, belief=at.Steering(lag=0.4, dead_time=0.1), uncertainty=narrow).logs[0]
-    assert "lag at the low end of its range" in found.bounds
+    assert "lag at the end of its range" in found.bounds
     assert found.verdict != "believable"
-    assert any("low end" in each.what and each.seconds > 5.0 for each in found.warnings)
+    assert any("at the end" in each.what and each.seconds > 5.0 for each in found.warnings)
 
 
 def test_a_lateral_velocity_of_another_point_is_found(drive):
@@ -171,7 +171,7 @@ def test_a_dead_time_that_rounds_below_nothing_is_nothing():
 
 def test_the_belief_is_carried_from_log_to_log(drive):
     once, again = at.shadow([drive[0], drive[0]], CAR, computation=0.05).logs
-    assert again.beliefs["belief_delay_sigma"][20] < 0.3 * once.beliefs["belief_delay_sigma"][20]
+    assert again.beliefs["belief_delay_sigma"][20] < 0.5 * once.beliefs["belief_delay_sigma"][20]
     assert again.before == once.before
 
 

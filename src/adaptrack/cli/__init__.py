@@ -2,8 +2,8 @@
 
 Exit codes: 0 done; 1 a certificate found an unstable loop, a road cannot be driven, or the criteria of a standard are
 not met; 2 an error, one sentence on standard error; 3 a run failed, an identification is not consistent, a belief is
-not believable; 130 Ctrl-C; 141 the reader of standard output has gone (`adaptrack ... | head -1`), as for any program
-in a pipe.
+not believable, inputs contradict each other; 130 Ctrl-C; 141 the reader of standard output has gone (`adaptrack ... |
+head -1`), as for any program in a pipe.
 
 Nothing but the standard library is imported here, so that Ctrl-C is answered from the first moment on. Every command
 imports what it needs when it runs: `adaptrack --help` loads no numerics.

@@ -36,7 +36,7 @@ app = typer.Typer(
     epilog="Begin with: adaptrack drive country --out drive. Which controller, which profile, what to measure first: "
     "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven, criteria of a "
     "standard that are not met; 2 an error; 3 a run failed, an identification is not consistent, a belief is not "
-    "believable; 130 Ctrl-C.",
+    "believable, inputs contradict each other; 130 Ctrl-C.",
     no_args_is_help=True,
     rich_markup_mode=None,
     add_completion=False,

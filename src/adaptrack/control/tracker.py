@@ -23,11 +23,10 @@ from pydantic import InstanceOf
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import MPC, Controller, MPCCommand, command_of
+from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.recording import Recorder
-from adaptrack.core.estimators.learning import BELIEFS
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import RoadAhead, foot_near, foot_of_car
 
@@ -91,8 +90,8 @@ class Tracked(NamedTuple):
     """rad, the car's heading less the path's; likewise"""
     station: float
     """m, arc length of the car's foot on the path, over all laps; likewise"""
-    belief: int | None = None
-    """how far what the controller learns can be trusted, a `BeliefState`; None where nothing is learned"""
+    belief: BeliefState | None = None
+    """how far what the controller learns can be trusted; None where nothing is learned"""
     suspect: tuple[str, ...] = ()
     """sentences on inputs that contradict each other, since the tracker engaged; see `control.input_check`"""
 
@@ -124,11 +123,10 @@ class _Sample(NamedTuple):
 
 NOWHERE = _Pose(math.nan, math.nan, math.nan)
 DOUBTFUL = {
-    2: "a learned quantity is at the end of its range: the car may be another than was thought",
-    3: "what is measured fits no car within what is believed",
+    BeliefState.AT_BOUND: "a learned quantity is at the end of its range: the car may be another than was thought",
+    BeliefState.CONTRADICTORY: "what is measured fits no car within what is believed",
 }
 """States of the belief that are warned of, once each."""
-_STATE = BELIEFS.index("belief_state") if "belief_state" in BELIEFS else None
 _MOST = (FURTHEST, FURTHEST, FURTHEST, *(ABSURD,) * 5)
 
 
@@ -455,16 +453,15 @@ class Tracker:
         self._tracked = Tracked(self._command, status, offset, heading_error, station, belief)
         return self._tracked
 
-    def _belief_of(self, answer: object) -> int | None:
-        """The state of the belief (`BeliefState`), warned of where it is doubtful."""
-        learned = answer.learned if isinstance(answer, MPCCommand) else ()
-        if _STATE is None or not learned:
+    def _belief_of(self, answer: object) -> BeliefState | None:
+        """The state of the belief, warned of where it is doubtful."""
+        if not isinstance(answer, MPCCommand) or answer.belief_state is None:
             return None
-        state = int(learned[_STATE])
+        state, bound = answer.belief_state, answer.belief_at_bound
         if state in DOUBTFUL and state not in self._doubted:
             self._doubted.add(state)
-            _log.warning("adaptrack: the belief about the car is in doubt: %s; drive slower, see docs/learning.md.",
-                         DOUBTFUL[state])  # fmt: skip
+            _log.warning("adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
+                         DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "")  # fmt: skip
         return state
 
     def _measurement(self, given: _Sample | None) -> tuple[Array, bool]:

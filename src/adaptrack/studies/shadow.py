@@ -23,7 +23,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.statistics import Interval, Ratio, block_rms
-from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty
+from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
 from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import UNNAMED
 from adaptrack.control.controllers.learned import LEAST_LAG, MIDDLE, UNKNOWN_CAR
@@ -31,8 +31,9 @@ from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.conventions import check_conventions
+from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.instants import LogSource, ReadLog, Samples
+from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading
 from adaptrack.road import Road, load_road
 from adaptrack.road.ahead import RoadAhead
@@ -50,12 +51,10 @@ FASTEST = 2.0 / 3.0
 """Quantile of the mean steering rate within a prediction above which its steering is in the fastest third."""
 PREVIEW = 4.0
 """s, of the road ahead that the controller is shown."""
-NEAR = 0.02
-"""Share of a range at whose ends a quantity is at its bound."""
-CONTRADICTORY = 3.0
-"""`belief_state` of a belief that fits no car within its ranges."""
 LEAST_SPAN, IN_THE_END = 1.0, 10.0
 """s, of what is warned of; s, the end of a log, whose belief is judged."""
+CONTRADICTED = 0.1
+"""Share of the end in which a contradiction makes the belief doubtful: it passes as the belief becomes less certain."""
 STILL_OPEN = 0.5
 """Share of the first standard deviation of the delay above which the log has report little of it."""
 WORSE = 1.1
@@ -322,33 +321,35 @@ def _judged(
     expected = {key: values for key, values in found.items() if isinstance(key, tuple)}
     measured = {name: found[name] for name in QUANTITIES}
     predictions = tuple(_compared(time, found["command"], measured, expected, mpc.period))
-    bounds = _at_bounds(found, ours)
-    states = found.get("belief_state", np.zeros_like(time))  # of a learner that says them
-    contradictory = {"the belief fits no car within its ranges": states == CONTRADICTORY}
+    bounds = _at_bounds(found)
+    contradictory = {"the belief fits no car within its ranges": found["belief_state"] == BeliefState.CONTRADICTORY}
     silent = {
         f"{name.replace('_', ' ')} left out by the filter": found["left out"] == i + 1 for i, name in enumerate(SENSORS)
     }
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
-    doubts = [each.what for each in contradictions] + _mostly(contradictory, late)
+    doubts = [each.what for each in contradictions] + _held(contradictory, late, CONTRADICTED)
     better = {each.predictor for each in predictions if each.quantity == "yaw_rate" and each.ours.low > WORSE}
     doubts += [f"{words} predicts the yaw rate better" for name, words in SIMPLER.items() if name in better]
     return ShadowLog(
         source=read.name, time=time, command=found["command"], proposed=found["proposed"],
         beliefs={name: found[name] for name in kernel.BELIEFS}, measured=measured, predicted=expected,
         predictions=predictions, warnings=(*contradictions, *_spans(contradictory | bounds | silent, time, mpc.period)),
-        doubts=tuple(doubts), bounds=tuple(_mostly(bounds, late)), notes=(*read.log.notes, *beside),
+        doubts=tuple(doubts), bounds=tuple(_held(bounds, late, 0.5)), notes=(*read.log.notes, *beside),
         before=first.learner.learned(first.known),
         learned=ours.learner.learned(ours.known),
     )  # fmt: skip
 
 
-def _contradictions(read: ReadLog, car: Any) -> Iterator[Warned]:
+def _contradictions(read: ReadLog, car: Vehicle) -> Iterator[Warned]:
     """Inputs that contradict each other."""
-    try:
-        check_conventions(read.log, car.wheelbase)
-    except InvalidInput as error:
-        yield Warned(str(error).removeprefix("log: ").rstrip("."), math.nan, 0.0)
+    for refuse in (lambda: check_conventions(read.log, car.wheelbase), lambda: check_positions(read.columns.values)):
+        try:
+            refuse()
+        except InvalidInput as error:
+            yield Warned(str(error).removeprefix("log: ").rstrip("."), math.nan, 0.0)
+    for sentence in check_loop(read.columns, car).contradictions:
+        yield Warned(sentence.rstrip("."), math.nan, 0.0)
 
 
 def _compared(
@@ -372,29 +373,17 @@ def _compared(
                     yield Prediction(predictor, quantity, ahead, part, rms, ours)
 
 
-def _at_bounds(found: Mapping[Any, Array], ours: Observer) -> dict[str, Flags]:
+def _at_bounds(found: Mapping[Any, Array]) -> dict[str, Flags]:
     """(n,) whether the belief is at a bound, by which that is in words."""
-    p = ours.learning.view(kernel.Numbers.dtype)[0]
-    ranges = {
-        "lag": (found["belief_lag"], p.least_lag, p.most_lag),
-        "dead time": (found["belief_dead_time"], p.least_dead_time, p.most_dead_time),
-        "stiffness": (np.log(found["belief_stiffness"]), -p.most_stiffness, p.most_stiffness),
-        "balance": (0.5 * np.log(found["belief_balance"]), -p.most_balance, p.most_balance),
-        "bias": (found["belief_bias"], -p.most_bias, p.most_bias),
+    return {
+        f"{name.replace('_', ' ')} at the end of its range": found["belief_at_bound"] == i + 1
+        for i, name in enumerate(kernel.QUANTITIES_BOUNDED)
     }
-    bound = found.get("belief_at_bound")  # of a learner that says it
-    share, flags = NEAR if bound is None else 0.5, {}
-    for i, (name, (value, low, high)) in enumerate(ranges.items()):
-        held = low < high if bound is None else bound == i + 1
-        if low > {"lag": LEAST_LAG, "dead time": 0.0}.get(name, -math.inf):  # no delay at all is no bound
-            flags[f"{name} at the low end of its range"] = held & (value <= low + share * (high - low))
-        flags[f"{name} at the high end of its range"] = held & (value >= high - share * (high - low))
-    return flags
 
 
-def _mostly(flags: Mapping[str, Flags], late: Flags) -> list[str]:
-    """What held most of the time in the end."""
-    return [what for what, there in flags.items() if there[late].mean() > 0.5]
+def _held(flags: Mapping[str, Flags], late: Flags, share: float) -> list[str]:
+    """What held for more than a share of the end."""
+    return [what for what, there in flags.items() if there[late].mean() > share]
 
 
 def _spans(flags: Mapping[str, Flags], time: Array, period: float) -> Iterator[Warned]:
