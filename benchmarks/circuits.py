@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, action="append")
     parser.add_argument("--circuit", action="append", help="name of a file without .csv")
     parser.add_argument("--domain", action="store_true", help="speeds end with the domain of the car")
-    parser.add_argument("--holds", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--no-holds", dest="holds", action="store_false", help="as without `holdable_speed`")
     options = parser.parse_args()
     options.seed = options.seed or list(MADE_SEEDS if options.made else SEEDS)
     if options.made:
