@@ -214,12 +214,12 @@ class Learning:
     """factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
     cautious: NotNegative = 0.5
     """standard deviations of the delay by which the controller believes it longer than its mean"""
-    tolerated: Annotated[Positive, "s"] = 0.3
-    """standard deviation of the delay that doubles R"""
+    tolerated: Annotated[Positive, "s"] | None = None
+    """standard deviation of the delay that doubles R; None: `TOLERATED`"""
     most_caution: _Factor = 16.0
     """largest factor on R for the delay"""
-    tolerated_stiffness: Positive = 2.0
-    """standard deviation of the logarithm of the stiffness that doubles R"""
+    tolerated_stiffness: Positive | None = None
+    """likewise of the logarithm of the stiffness"""
     doubting_caution: _Factor = 4.0
     """factor on R while a quantity is at the end of its range, or what is measured contradicts what is believed"""
     unmodelled: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] = (
@@ -293,6 +293,9 @@ def _unknown(car: Vehicle, belief: Belief) -> Uncertainty:
     return replace(UNKNOWN_CAR, stiffness=said.stiffness, mass=said.mass)
 
 
+TOLERATED = {True: (0.12, 0.6), False: (0.3, 2.0)}
+"""Standard deviations of the delay (s) and of the logarithm of the stiffness that double R, where the lateral velocity
+is measured, and where it is not: there R is larger already (`informed.UNSEEN`)."""
 WINDY = 1500.0
 """kg, of a car whose wind `Learning.wind` is: it acts on a body by area and slope of the side force over the mass."""
 LEAST_WINDY, MOST_WINDY = 0.5, 4.0
@@ -337,6 +340,14 @@ class Learner:
             self.rate = math.inf
         self.longest = self.limits.dead_time[1] + self.computation
         self.kept = math.ceil((self.longest + sensing.oldest) / period) + 3
+
+    @property
+    def tolerated(self) -> tuple[float, float]:
+        """Standard deviations of delay (s) and logarithm of the stiffness that double R."""
+        usual = TOLERATED[math.isfinite(self.sensing.noise.vy)]
+        given = self.own.tolerated, self.own.tolerated_stiffness
+        delay, stiffness = (b if a is None else a for a, b in zip(given, usual, strict=True))
+        return delay, stiffness
 
     @property
     def wind(self) -> float:
@@ -402,8 +413,8 @@ class Learner:
             "most_balance": 0.5 * math.log(MOST_BALANCE if own.balance is None else own.balance),
             "most_bias": MOST_BIAS if own.bias is None else own.bias,
             "modest": own.modest, **self._priors(),
-            "cautious": own.cautious, "tolerated": own.tolerated, "most_caution": own.most_caution,
-            "tolerated_stiffness": own.tolerated_stiffness, "doubting_caution": own.doubting_caution,
+            "cautious": own.cautious, "tolerated": self.tolerated[0], "most_caution": own.most_caution,
+            "tolerated_stiffness": self.tolerated[1], "doubting_caution": own.doubting_caution,
             "longer": own.longer * period, "shorter": own.shorter * period, "stiffer": own.stiffer * period,
             "turning": own.turning * period, "wandering": own.wandering,
             "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise,
@@ -457,7 +468,8 @@ class Learner:
         later = self.own.cautious / sigma * cov.sum(axis=1)
         (least_lag, most_lag), (least_dead, most_dead) = self.limits
         stiffness, balance, unsure = x[kernel.STIFFNESS], x[kernel.BALANCE], spread[kernel.STIFFNESS]
-        caution = min(1.0 + (sigma / self.own.tolerated) ** 2, self.own.most_caution)
+        tolerated, tolerated_stiffness = self.tolerated
+        caution = min(1.0 + (sigma / tolerated) ** 2, self.own.most_caution)
         believed = {
             "belief_lag": lag, "belief_lag_sigma": math.sqrt(cov[0, 0]), "belief_dead_time": dead,
             "belief_dead_time_sigma": math.sqrt(cov[1, 1]), "belief_delay": lag + dead, "belief_delay_sigma": sigma,
@@ -471,7 +483,7 @@ class Learner:
             "used_dead_time": min(max(dead + later[1], least_dead), most_dead),
             "used_stiffness": math.exp(stiffness), "used_balance": math.exp(2.0 * balance),
             "used_bias": x[kernel.BIAS],
-            "used_caution": caution * (1.0 + (unsure / self.own.tolerated_stiffness) ** 2),
+            "used_caution": caution * (1.0 + (unsure / tolerated_stiffness) ** 2),
             "belief_state": BeliefState.LEARNING, "belief_at_bound": 0.0,
         }  # fmt: skip
         memory[: len(kernel.BELIEFS)] = [believed[name] for name in kernel.BELIEFS]

@@ -112,7 +112,7 @@ LAG_BOUND, DEAD_TIME_BOUND, STIFFNESS_BOUND, BALANCE_BOUND, BIAS_BOUND = range(5
 """Whose ranges have ends."""
 LEARNING, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
 """States of the belief; of those that apply the last one is told."""
-CONTRADICTED, AGREED = 2.0, 1.3
+CONTRADICTED, AGREED = 3.0, 1.5
 """Mean of squared innovations over their variance at which a contradiction begins, and ends."""
 CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
 """Standard deviations of the delay (s) and of s, in the filters, below both of which the belief settles, and above one
@@ -591,7 +591,7 @@ def _find_state(p, m, memory):
 
 
 @inlined
-def _return_to_prior(p, m, memory):
+def _return_to_prior(p, memory):
     """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
     for i in range(whole(p.hypotheses)):
         own = hypothesis(i, p.kept, memory)
@@ -684,7 +684,7 @@ def _judge(p, m, memory):
     if math.isfinite(surprise):
         m.disagreement += p.window * (surprise - m.disagreement)
     if m.beliefs.belief_state == CONTRADICTORY:
-        _return_to_prior(p, m, memory)
+        _return_to_prior(p, memory)
 
 
 @exported(LEARN, name="learn_car")
