@@ -186,7 +186,8 @@ def test_learning_costs_a_car_that_is_known_little_and_saves_one_that_is_not():
 
     plain, other = load_profile("road"), world()
     known = MPC(CAR, profile="road")
-    learning = MPC(CAR, profile="road", uncertainty=UNSURE, learning=Learning())
+    said = Steering(lag=plain.steering.lag, dead_time=plain.steering.dead_time)
+    learning = MPC(CAR, profile="road", belief=said, uncertainty=UNSURE, learning=Learning())
     assert cost(learning, plain) < 1.3 * cost(known, plain)
     told = MPC(HALF, profile="road", belief=MIDDLE, uncertainty=UNSURE)
     assert cost(learner(), other) < 0.5 * cost(told, other)

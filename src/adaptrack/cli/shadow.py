@@ -44,9 +44,9 @@ class ShadowOptions:
 
 @options.grouped
 def shadow(given: ShadowOptions) -> None:
-    """Run a learning controller's estimator in the shadow of a driver.
+    """Run over logs of a driver and steer nothing.
 
-    What it believes of the car, how well it predicts yaw rate and position, what it would have warned of. Nothing is
+    What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would have warned of. Nothing is
     steered. Exit code 3 when the belief is not believable.
     """
     from adaptrack.results.page import write_result

@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 
 OF_THE_CAR = ("delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation")
 """Quantities that logs of one car share."""
-FARTHEST = 1.5
-"""Spreads of the prior, that the second pass may move a log's own point: beyond, its first is kept."""
 
 
 class Fitted(Protocol):
@@ -49,16 +47,10 @@ def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
     """For each log the point z and the covariance of its free entries, given all logs.
 
     agree: whether they do; those that do not are granted the scatter of their means as an error of their own (random
-    effects; R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177-188), and are not linearised again.
+    effects; R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177-188).
     """
     posteriors = [(each.z, each.covariance) for each in fits] if agree else _parted(fits)
     mean, information = _added(fits, posteriors)
-    if agree:
-        there = [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
-        posteriors = [
-            _again(each, z, posterior) for each, (z, _), posterior in zip(fits, there, posteriors, strict=True)
-        ]
-        mean, information = _added(fits, posteriors)
     return [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
 
 
@@ -113,18 +105,3 @@ def _given(
     there = z.copy()
     there[free] += follow @ (mean[places] - z[free][rows])
     return there, covariance + follow @ (common - covariance[np.ix_(rows, rows)]) @ follow.T
-
-
-def _again(fit: Fitted, z: Array, before: tuple[Array, Array]) -> tuple[Array, Array]:
-    """A log's posterior, linearised at the common point; as before where that is too far for one step."""
-    likelihood = fit.likelihood
-    try:
-        at = likelihood.scored(z)
-    except InvalidInput:
-        return before
-    step = np.linalg.solve(at.information, at.gradient)
-    if np.abs(step).max() > FARTHEST:
-        return before
-    there = z.copy()
-    there[likelihood.free] -= step
-    return there, likelihood.covariance(at)

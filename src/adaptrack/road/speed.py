@@ -446,8 +446,8 @@ def _binding(cells: _Cells, w: Array, ceiling: Array, named: NDArray[np.int8]) -
     found = np.where(w[:-1] <= w[1:], named[:-1], named[1:])
     for k in np.flatnonzero(~(at_ceiling[:-1] & at_ceiling[1:])).tolist():
         gains = w[k + 1] >= w[k]
-        asked, names = (cells.drives, _DRIVES) if gains or cells.drive(k, w[k]) < 0.0 else (cells.brakings, _BRAKINGS)
-        most = np.minimum(asked(k, w[k]), asked(k, w[k + 1]))
+        bounds, names = (cells.drives, _DRIVES) if gains or cells.drive(k, w[k]) < 0.0 else (cells.brakings, _BRAKINGS)
+        most = np.minimum(bounds(k, w[k]), bounds(k, w[k + 1]))
         used = abs(w[k + 1] - w[k]) / (2.0 * cells.ds[k])
         soft = math.isfinite(cells.comfort.jerk) and used < 0.98 * most.min()
         found[k] = _NUMBER[Limit.JERK if soft else names[int(most.argmin())]]

@@ -39,7 +39,7 @@ MOST_LAG, MOST_DEAD_TIME = 0.6, 0.5
 """s, to which a range that nobody gave widens: the longest delay that is published, see `UNKNOWN_CAR`."""
 MOST_STIFFNESS, MOST_BALANCE, MOST_BIAS = 4.0, 4.0, 0.07
 """Factors and rad, likewise: axles of 5 to 60 1/rad over their load, beyond what `data_sheet` names; 4 degrees."""
-_TOLD = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
+_REPORTED = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
 LEAST_LAG = kernel.SHORTEST_LAG
 GRAIN = 0.4
 """Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
@@ -173,7 +173,7 @@ class Learning:
     """factor by which front over rear stiffness may be larger or smaller; None: likewise"""
     rearward: NotNegative = 1.0
     """share of what a car's file leaves open of its centre of mass, by which that is believed further back: a car that
-    is believed too heavy in front is lost where it oversteers, the other error costs little"""
+    is believed too heavy in front leaves the road where it oversteers, the other error costs little"""
     bank: Annotated[NotNegative, "m/s^2"] = 0.2
     """standard deviation of the pull of a banked road"""
     wind: Annotated[NotNegative, "m/s^2"] = 0.35
@@ -297,7 +297,7 @@ TOLERATED = {True: (0.12, 0.6), False: (0.3, 2.0)}
 """Standard deviations of the delay (s) and of the logarithm of the stiffness that double R, where the lateral velocity
 is measured, and where it is not: there R is larger already (`informed.UNSEEN`)."""
 WINDY = 1500.0
-"""kg, of a car whose wind `Learning.wind` is: it acts on a body by area and slope of the side force over the mass."""
+"""kg, of a car whose wind `Learning.wind` is: it acts on a car by area and slope of the side force over the mass."""
 LEAST_WINDY, MOST_WINDY = 0.5, 4.0
 """Factors on it."""
 
@@ -398,7 +398,7 @@ class Learner:
         times = {"wind_left": own.wind_time, "bank_left": own.bank_time, "friction_left": own.friction_time}
         given |= {name: math.exp(-period / time) for name, time in times.items()}
         (least_lag, most_lag), (least_dead, most_dead) = self.limits
-        given |= {f"unmodelled_{name}": value for name, value in zip(_TOLD, own.unmodelled, strict=True)}
+        given |= {f"unmodelled_{name}": value for name, value in zip(_REPORTED, own.unmodelled, strict=True)}
         given |= {name: min(1.0, period / getattr(own, name)) for name in ("window", "returning", "doubting")}
         given |= {
             "period": period, "computation": self.computation, "lag": self.lag,
@@ -427,7 +427,7 @@ class Learner:
         first = copy.copy(self)
         first.own = replace(self.own, start=None)
         beliefs = memory_of(first.fresh(), 0).beliefs
-        return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in _TOLD}
+        return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in _REPORTED}
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""

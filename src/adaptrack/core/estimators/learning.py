@@ -31,7 +31,7 @@ The belief is in one state at a time. A mean of the squared innovations over the
 are right, above `CONTRADICTED` says that what is measured contradicts what is believed (the NIS test: Y. Bar-Shalom,
 X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4): the variances
 then grow to the prior's, and the evidence about the delay is forgotten. A quantity whose mean is at the end of its
-range is told as uncertain as before the first sample, however small the variance of the filters.
+range is reported as uncertain as before the first sample, however small the variance of the filters.
 
 The noise of each sensor is that of third differences of its samples, E(x_k - 3 x_(k-1) + 3 x_(k-2) - x_(k-3))^2 =
 20 sigma^2 for white noise: the motion of a car hardly shows in them.
@@ -111,7 +111,7 @@ QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
 LAG_BOUND, DEAD_TIME_BOUND, STIFFNESS_BOUND, BALANCE_BOUND, BIAS_BOUND = range(5)
 """Whose ranges have ends."""
 LEARNING, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
-"""States of the belief; of those that apply the last one is told."""
+"""States of the belief; of those that apply the last one counts."""
 CONTRADICTED, AGREED = 3.0, 1.5
 """Mean of squared innovations over their variance at which a contradiction begins, and ends."""
 CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
@@ -539,7 +539,7 @@ def _toward(now, wanted, more, less):
 
 @inlined
 def _widened(variance, unmodelled, prior, bound, p, m):
-    """A standard deviation as told: not too small, not below the prior's at a bound, else not much above it."""
+    """A standard deviation as reported: not too small, not below the prior's at a bound, else not much above it."""
     found = sqrt(square(p.modest) * variance + square(unmodelled))
     least = prior if m.beliefs.belief_at_bound == 1.0 + bound else 0.0
     return max(min(found, max(prior, sqrt(variance))), least)
