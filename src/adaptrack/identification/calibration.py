@@ -30,7 +30,7 @@ CORRECTIONS: Mapping[str, Correction] = {
     "lag": Correction(1.2, 0.003),
     "dead_time": Correction(1.2, 0.003),
     "lateness": Correction(1.2, 0.003),
-    "understeer_gradient": Correction(1.0, 1e-4, 0.05),
+    "understeer_gradient": Correction(1.15, 1e-4, 0.05),
     "front": Correction(1.15, share=0.06),
     "rear": Correction(1.15, share=0.06),
     "relaxation": Correction(1.2),

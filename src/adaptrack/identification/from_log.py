@@ -247,7 +247,7 @@ def _noises(log: Log) -> dict[str, Prior]:
 def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
     """The most likely point z of a log, and the covariance of its free entries.
 
-    First all gusts are alike; then their spread follows the log.
+    First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
     """
     starts = []
     for delay in FIRST_DELAYS:
@@ -257,7 +257,8 @@ def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
         starts.append((likelihood.objective(z), delay, z))
     z, _ = likelihood.fit(min(starts, key=lambda each: each[0])[2], NEARLY)
     likelihood.follow_gusts(z)
-    z, at = likelihood.fit(z)
+    z, _ = likelihood.fit(z, NEARLY)
+    z, at = likelihood.fit(likelihood.widen_gusts(z))
     return z, likelihood.covariance(at)
 
 

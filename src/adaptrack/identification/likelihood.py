@@ -33,6 +33,8 @@ SETTLING = 1.0
 """s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
 GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
 """s to either side over which the changes of the wind are averaged; least share of their mean square."""
+WIDER = 2.0
+"""Factor on the most likely spread of the gusts."""
 LEAST_OF_SPLINE = 20
 """Samples of a segment whose measured wheel angle is smoothed."""
 STRETCH = 10.0
@@ -119,6 +121,18 @@ class Likelihood:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
         self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
+
+    def widen_gusts(self, z: Array) -> Array:
+        """Keep the wind's spread at `WIDER` times that of a point; the point there.
+
+        Gusts have longer tails than a Gaussian process. One that is as likely as can be shrinks them, and leaves the
+        driver's answer to them to the tyres: in closed loop cars then seem to understeer more than they do.
+        """
+        place = INDEX["wind_spread"]
+        self.median[place] = WIDER * self.values(z)[place]
+        self.spread[place] = 0.0
+        self.free = self.free[self.free != place]
+        return np.where(np.arange(z.size) == place, 0.0, z)
 
     def follow_gusts(self, z: Array) -> None:
         """Let the spread of the wind's noise follow how much the wind changes along the log."""
