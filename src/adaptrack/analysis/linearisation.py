@@ -170,7 +170,10 @@ class Steady(NamedTuple):
         """(9,) what the sensors give in it, the turn of the path included, see `core.models.contract.MEASURED`."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
-        known = {name: states[name] for name in ("vy", "yaw_rate")} | {"yaw": states["psi"], "wheel_angle": self.steering}
+        known = {name: states[name] for name in ("vy", "yaw_rate")} | {
+            "yaw": states["psi"],
+            "wheel_angle": self.steering,
+        }
         known |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
         return np.array([known.get(name, 0.0) for name in contract.MEASURED._fields])
 
