@@ -39,7 +39,8 @@ MEANT = {
     "body": {
         "docs/extensions/mathml.py": 1, "src/adaptrack/__init__.py": 1, "src/adaptrack/cars/data_sheet.py": 11,
         "src/adaptrack/cars/vehicle.py": 23,
-        "src/adaptrack/control/controllers/learned.py": 2, "src/adaptrack/cli/car.py": 7, "src/adaptrack/core/build/header.py": 1,
+        "src/adaptrack/control/controllers/learned.py": 2, "src/adaptrack/cli/car.py": 7,
+        "src/adaptrack/core/build/header.py": 1,
         "src/adaptrack/peers/commonroad_plants.py": 3,
     },
 }  # fmt: skip

@@ -46,8 +46,8 @@ class ShadowOptions:
 def shadow(given: ShadowOptions) -> None:
     """Run over logs of a driver and steer nothing.
 
-    What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would have warned of. Nothing is
-    steered. Exit code 3 when the belief is not believable.
+    What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would
+    have warned of. Exit code 3 when the belief is not believable.
     """
     from adaptrack.results.page import write_result
     from adaptrack.results.shadow import shadow_result

@@ -17,7 +17,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.quantities import QUANTITIES
 

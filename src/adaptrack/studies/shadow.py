@@ -329,6 +329,7 @@ def _judged(
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
     doubts = [each.what for each in contradictions] + _held(contradictory, late, CONTRADICTED)
+    doubts += _held(silent, np.ones_like(late), 0.5)
     better = {each.predictor for each in predictions if each.quantity == "yaw_rate" and each.ours.low > WORSE}
     doubts += [f"{words} predicts the yaw rate better" for name, words in SIMPLER.items() if name in better]
     return ShadowLog(
@@ -382,7 +383,7 @@ def _at_bounds(found: Mapping[Any, Array]) -> dict[str, Flags]:
 
 
 def _held(flags: Mapping[str, Flags], late: Flags, share: float) -> list[str]:
-    """What held for more than a share of the end."""
+    """What held for more than a share of the end, or of all."""
     return [what for what, there in flags.items() if there[late].mean() > share]
 
 
