@@ -117,6 +117,8 @@ CONTRADICTED, AGREED = 3.0, 1.5
 CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
 """Standard deviations of the delay (s) and of s, in the filters, below both of which the belief settles, and above one
 of which it does so no longer."""
+RIGID = 1.3
+"""Logarithm of the factor on the stiffness from which on a car turns as if its tyres did not slip."""
 NEAR, AWAY = 0.01, 0.03
 """Shares of a range within which of its end a mean is at the bound, and beyond which no longer."""
 BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
@@ -547,7 +549,7 @@ def _widened(variance, unmodelled, prior, bound, p, m):
 
 @inlined
 def _find_bound(p, m, memory):
-    """1 + the quantity whose mean is at the end of its range, 0: none. A delay of nothing is no bound."""
+    """1 + the quantity whose mean is at the end of its range, 0: none. A delay of nothing is no bound, nor are rigid tyres."""
     was, found = m.beliefs.belief_at_bound, 0.0
     for quantity in range(len(QUANTITIES_BOUNDED)):
         if quantity == LAG_BOUND:
@@ -558,7 +560,7 @@ def _find_bound(p, m, memory):
             low = low if low > 0.0 else -math.inf
         elif quantity == STIFFNESS_BOUND:
             value, high = _mean(STIFFNESS, p, memory), p.most_stiffness
-            low = -high
+            value, low = min(value, 0.0) if high > RIGID else value, -high
         elif quantity == BALANCE_BOUND:
             value, high = _mean(BALANCE, p, memory), p.most_balance
             low = -high
