@@ -344,7 +344,8 @@ def _judged(
 
 def _contradictions(read: ReadLog, car: Vehicle) -> Iterator[Warned]:
     """Inputs that contradict each other."""
-    for refuse in (lambda: check_conventions(read.log, car.wheelbase), lambda: check_positions(read.columns.values)):
+    checks = partial(check_conventions, read.log, car.wheelbase), partial(check_positions, read.columns.values)
+    for refuse in checks:
         try:
             refuse()
         except InvalidInput as error:
