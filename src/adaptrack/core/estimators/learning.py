@@ -549,7 +549,7 @@ def _widened(variance, unmodelled, prior, bound, p, m):
 
 @inlined
 def _find_bound(p, m, memory):
-    """1 + the quantity whose mean is at the end of its range, 0: none; no delay at all and rigid tyres are no bounds."""
+    """1 + the quantity whose mean is at the end of its range, or 0; no delay at all and rigid tyres are no bounds."""
     was, found = m.beliefs.belief_at_bound, 0.0
     for quantity in range(len(QUANTITIES_BOUNDED)):
         if quantity == LAG_BOUND:
