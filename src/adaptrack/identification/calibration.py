@@ -4,8 +4,9 @@ A standard error s is replaced by sqrt((factor s)^2 + floor^2 + (share |value|)^
 log does not make smaller: the time between samples and its steps, and the shape of the tyres' curve, of which only one
 number is fitted (a brush tyre at a quarter of its grip is 8 % softer than its slope at the origin, Pacejka,
 *Tire and Vehicle Dynamics*, 3rd ed., section 3.2). The factors are such that 90 % intervals held the truth in 90 % of
-training logs (`benchmarks/identifying_foreign.py`, seeds from 40000); how well they hold on kinds of logs that they
-were not found on, that script prints.
+training logs: of a foreign plant (`benchmarks/identifying_foreign.py`, seeds from 40000), and for the steering offset
+and the understeer gradient own windy drives (`benchmarks/identifying.py`, seeds 1300 to 1359). How well intervals hold
+on kinds of logs that the factors were not found on, the first of these prints.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ CORRECTIONS: Mapping[str, Correction] = {
     "understeer_gradient": Correction(1.15, 1e-4, 0.05),
     "front": Correction(1.15, share=0.06),
     "rear": Correction(1.15, share=0.06),
-    "relaxation": Correction(1.2),
+    "offset": Correction(1.3),
+    "vy_ahead": Correction(1.4),
+    "relaxation": Correction(2.0),
     "ratio": Correction(share=0.002),
 }
 """By the names of the estimates; those of the others are kept."""

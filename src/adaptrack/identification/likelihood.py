@@ -31,7 +31,7 @@ STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
 """Of the differences, in spreads; iterations; fall of the objective at which they end, and nearly."""
 SETTLING = 1.0
 """s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
-GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
+GUST_WINDOW, LEAST_GUSTS = 3.0, 0.01
 """s to either side over which the changes of the wind are averaged; least share of their mean square."""
 WIDER = 2.0
 """Factor on the most likely spread of the gusts."""
