@@ -24,6 +24,7 @@ LONG_COMMANDS = {
     "adapt": "39 minutes",
     "compare": "1 minute to hours",
     "certify": "5 s, and more with several inputs",
+    "check-loop": "needs a log",
     "dataset describe paper-grid": "15 s",
     "dataset describe road-sobol": "15 s",
     "dataset describe campaigns": "needs a campaign that is done",
