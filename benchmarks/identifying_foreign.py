@@ -64,6 +64,10 @@ def _tyre(law: int, slip: float, load: float, stiffness: float, friction: float)
     return peak * math.sin(shape * math.atan(b - curvature * (b - math.atan(b))))
 
 
+class Undriven(Exception):
+    """A drive that left the road or slid: it gives no log."""
+
+
 @numba.njit
 def _slope(x, d, law, p, v, push, load_side, load_turn, target, curvature):
     """Of v_y, yaw rate, four slips, felt a_y, wheel angle, yaw, lateral error, heading error."""
@@ -218,7 +222,7 @@ def foreign_log(seed: int, as_believed: bool) -> tuple[RandomCar, dict[str, Any]
         car.profile.dead_time, steering.bias, every, 0.9 + 1.5 * delay, max(true.understeer_gradient, 0.0), delay, turn,
     )  # fmt: skip
     if not np.isfinite(out).all() or np.abs(out[:, 9]).max() > 25.0 or np.abs(out[:, 0] / speed).max() > 0.25:
-        raise InvalidInput("the drive failed")
+        raise Undriven("the drive failed")
     late = rng.uniform(0.0, 0.3) * (kind["signals"] != "command" or rng.random() < 0.5)
     return car, *_sensed(rng, car, kind, out, speed, late, turn, every, inertia, relaxation)
 
@@ -283,7 +287,7 @@ def judge(seed: int, as_believed: bool, flags: bool) -> dict[str, Any]:
     """Estimates beside the truth, of one log."""
     try:
         car, log, truth, kind = foreign_log(seed, as_believed)
-    except InvalidInput as error:
+    except Undriven as error:
         return {"seed": seed, "undriven": str(error)}
     begun = time.process_time()
     try:
