@@ -22,6 +22,7 @@ PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("g
 
 LONG_COMMANDS = {
     "adapt": "39 minutes",
+    "adaptation": "39 minutes",
     "compare": "1 minute to hours",
     "certify": "5 s, and more with several inputs",
     "check-loop": "needs a log",
