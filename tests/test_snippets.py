@@ -34,6 +34,7 @@ LONG_COMMANDS = {
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
     "drive road.csv --vehicle my-car.toml --controller informed": "needs a tuning that is found",
     "evaluate": "1 to 10 minutes",
+    "evaluate-schedules": "10 minutes",
     "identify": "needs a log",
     "reproduce": "2 minutes",
     "shadow": "needs a log",
