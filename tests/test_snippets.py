@@ -24,6 +24,7 @@ LONG_COMMANDS = {
     "adapt": "39 minutes",
     "adaptation": "39 minutes",
     "compare": "1 minute to hours",
+    "campaign": "5 minutes",
     "certify": "5 s, and more with several inputs",
     "check-loop": "needs a log",
     "dataset describe paper-grid": "15 s",
