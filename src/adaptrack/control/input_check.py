@@ -154,7 +154,15 @@ class InputCheck:
         command: rad, in force from now on.
         """
         self._sample[:] = t, now, *pose, speed, yaw_rate, vy, pull, wheel
-        bits = check_call(self._sample, command, self._resident)
+        return self.say(check_call(self._sample, command, self._resident))
+
+    def forget(self) -> None:
+        """Begin anew."""
+        begin_check(self.check)
+        self.suspect, self._bits = (), 0
+
+    def say(self, bits: int) -> tuple[str, ...]:
+        """Sentences that are new, on the mistakes of these bits (`MISTAKES`)."""
         if bits == self._bits:
             return ()
         new = tuple(self._sentence(i) for i in range(len(MISTAKES)) if (bits & ~self._bits) >> i & 1)
