@@ -34,7 +34,7 @@ _WAY = [
     (MISTAKES.speed_unit, (0.1, 0.6, 1.6, 2.2, 3.6, 10.0), _NONE),
 ]
 _COURSE = [
-    (_HONEST, (0.7, 0.85, 1.0, 1.2)),
+    (_HONEST, (0.35, 0.5, 0.7, 0.85, 1.0, 1.2)),
     (MISTAKES.y_mirrored, (-1.0,)),
     (MISTAKES.yaw_in_degrees, (DEGREE,)),
 ]

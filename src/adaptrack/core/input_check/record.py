@@ -14,7 +14,7 @@ SLOW = 3.0
 """m/s: slower, nothing is compared."""
 POSITION = 0.045
 """m, noise of a difference of two positions."""
-DELAYS, DELAY = 7, 0.1
+DELAYS, DELAY = 13, 0.05
 """How many delays between a command and the turning of the car are tried, and their distance (s)."""
 REQUESTED, CLOSEST = 64, 0.02
 """Commands that are kept; s, between two of them: what comes sooner replaces the last one."""

@@ -19,7 +19,9 @@ MEMORY = 12.0
 """s, after which a window counts 1/e."""
 EVIDENCE, SURE, AGAIN = 12.0, 5.0, 2
 """-, see above; where other measurements point there too; looks in a row at which it must be there."""
-UNKNOWN = 0.15
+import os
+TWICE = float(os.environ.get('P_TWICE','1e9'))
+UNKNOWN = float(os.environ.get('P_UNKNOWN','0.07'))
 """Standard deviation of what was before the beginning, in the unit of y."""
 BANKS = 3
 """Of delays: of what is asked for as it is, by wheels of a limited rate, by wheels that are thrown about."""
@@ -45,7 +47,7 @@ def _decide(own, which, honest, usual, mistake, best, overlap, enough, again):
     """Take down the usual honest value, and a mistake that is better by enough; the mistake that is certain."""
     own.usual[which] = usual
     better = (honest - best) / (overlap * max(1.0, best / own.count[which]))
-    own.repeated[which] = own.repeated[which] + 1 if better > enough else 0
+    own.repeated[which] = (AGAIN if better > TWICE * enough else own.repeated[which] + 1) if better > enough else 0
     if own.repeated[which] >= again:
         own.label[which] = whole(HYPOTHESES[mistake, 0])
     return own.label[which]
@@ -140,7 +142,7 @@ def begin_delayed(own, which, sums, y, weight, time):
 
 
 @inlined
-def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, evidence, soon, later, sure):
+def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, evidence, soon, large, later, sure):
     """1 + the mistake that is now certain, or 0.
 
     evidence: that is needed for the mistake `later`; soon: for all others; sure: what else is measured makes a mistake
@@ -164,5 +166,8 @@ def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, ev
                     honest, usual = each, (row - first) * BANKS * DELAYS + i
             elif each < best:
                 best, mistake = each, row
-    enough = SURE if sure else evidence if whole(HYPOTHESES[mistake, 0]) == later else soon
+    label = whole(HYPOTHESES[mistake, 0])
+    enough = SURE if sure else evidence if label == later else soon
+    if label == 1 + MISTAKES.command_too_large:
+        enough = large
     return _decide(own, which, honest, usual, mistake, best, overlap, enough, 1 if sure else AGAIN)

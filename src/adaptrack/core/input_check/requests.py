@@ -25,7 +25,7 @@ def _gain(speed, settings):
 
 
 @inlined
-def go_on(now, speed, command, own, settings):
+def go_on(now, speed, yaw_rate, wheel, command, own, settings):
     """Go on with what the commands ask for to the time of a call; command: in force from now on."""
     step = now - own.now
     if not 0.0 < step < LONGEST or own.request_count == 0:
@@ -34,8 +34,11 @@ def go_on(now, speed, command, own, settings):
         row[ASKED.t] = now
         for i in range(1, len(ASKED)):
             row[i] = 0.0
-        own.begun_at, own.command, own.lagged, own.limited, own.thrown = now, command, 0.0, command, command
-        own.begun_with[0], own.begun_with[1] = command * _gain(speed, settings), command
+        gain = _gain(max(speed, SLOW), settings)
+        turning = yaw_rate if math.isfinite(yaw_rate) and speed > SLOW else command * gain
+        angle = clip(wheel if math.isfinite(wheel) else turning / gain, -LIMIT, LIMIT)
+        own.begun_at, own.command, own.lagged, own.limited, own.thrown = now, command, 0.0, angle, angle
+        own.begun_with[0], own.begun_with[1] = turning, angle
         return
     last = own.request
     newest = own.requests[last]
