@@ -182,7 +182,8 @@ def check_call(sample, command, check):
         own.t = -math.inf
     _check_clock(sample, own, settings)
     if math.isfinite(speed):
-        go_on(now, speed, command if math.isfinite(command) else 0.0, own, settings)
+        next_command = command if math.isfinite(command) else 0.0
+        go_on(now, speed, sample[SAMPLE.yaw_rate], sample[SAMPLE.wheel_angle], next_command, own, settings)
     same = True
     for i in range(3):
         same = same and sample[SAMPLE.x + i] == own.pose[i]

@@ -12,6 +12,11 @@ from .hypotheses import DEGREE
 from .record import COMPARED, COURSES, MISTAKES, SUBJECTS, TICKS, T, say
 from .regression import AGAIN, EVIDENCE, compare
 
+import os
+PG=float(os.environ.get('P_G','6'))
+PP=float(os.environ.get('P_P','.003'))
+PF=float(os.environ.get('P_F','.02'))
+PE=float(os.environ.get('P_E','4'))
 GENTLE, ROUGH = 2.5, 5.0
 """m/s^2, lateral: of what says which point of the car is measured, of what says that frames differ."""
 ASKEW, TURNED = 0.1, 0.3
@@ -62,9 +67,9 @@ def compare_course(aside, course, yaw, far, rate, own, settings):
     own.course = (own.course + 1) % COURSES
     own.course_count = min(own.course_count + 1, COURSES)
     own.courses[own.course, 0], own.courses[own.course, 1] = course, yaw
-    if max(abs(turned), abs(gone)) < 1.5 and pull < GENTLE:
-        noise = 0.008 + 0.045 / far + 0.3 * abs(rolling)
-        if compare(own, COMPARED.course, turned, 0.0, 0.0, gone, noise, last[T.time], 4.0, 0.02, EVIDENCE) > 0:
+    if max(abs(turned), abs(gone)) < 1.5 and pull < PG:
+        noise = 0.008 + PF / far + 0.3 * abs(rolling) + PP * pull
+        if compare(own, COMPARED.course, turned, 0.0, 0.0, gone, noise, last[T.time], 4.0, 0.02, PE) > 0:
             explain_course(own)
     own.yaw_least, own.yaw_most = min(own.yaw_least, yaw), max(own.yaw_most, yaw)
     if abs(aside) < 0.2:

@@ -13,14 +13,18 @@ from ..kernel import inlined, local
 from ..maths.bits import whole
 from ..maths.exponential import exp
 from .hypotheses import FIRST, HYPOTHESES
-from .record import DELAYS
+from .record import DELAYS, MISTAKES
 
 MEMORY = 12.0
 """s, after which a window counts 1/e."""
 EVIDENCE, SURE, AGAIN = 12.0, 5.0, 2
 """-, see above; where other measurements point there too; looks in a row at which it must be there."""
-UNKNOWN = 0.15
+import os
+TWICE = float(os.environ.get('P_TWICE','1e9'))
+UNKNOWN = float(os.environ.get('P_UNKNOWN','0.07'))
 """Standard deviation of what was before the beginning, in the unit of y."""
+BANKS = 3
+"""Of delays: of what is asked for as it is, by wheels of a limited rate, by wheels that are thrown about."""
 XX, XY, X1, XH, MM, MY, M1, MH, HH, HY, H1 = range(11)
 """Sums of a delay: of what was requested (x), the same with what was before its negative (m), y, 1, and h."""
 YY, Y1, ONE = range(3)
@@ -43,7 +47,7 @@ def _decide(own, which, honest, usual, mistake, best, overlap, enough, again):
     """Take down the usual honest value, and a mistake that is better by enough; the mistake that is certain."""
     own.usual[which] = usual
     better = (honest - best) / (overlap * max(1.0, best / own.count[which]))
-    own.repeated[which] = own.repeated[which] + 1 if better > enough else 0
+    own.repeated[which] = (AGAIN if better > TWICE * enough else own.repeated[which] + 1) if better > enough else 0
     if own.repeated[which] >= again:
         own.label[which] = whole(HYPOTHESES[mistake, 0])
     return own.label[which]
@@ -116,7 +120,7 @@ def add_delayed(sums, i, left, mean, before, share, y, weight):
 @inlined
 def _misfit_delayed(sums, i, factor, intercept):
     """Of y = factor x + c h + intercept, with a free c."""
-    row, whole_row = sums[i], sums[DELAYS]
+    row, whole_row = sums[i], sums[BANKS * DELAYS]
     if factor >= 0.0:
         xx, xy, x1, xh = row[XX], row[XY], row[X1], row[XH]
     else:
@@ -132,13 +136,13 @@ def _misfit_delayed(sums, i, factor, intercept):
 def begin_delayed(own, which, sums, y, weight, time):
     """A window more in a comparison with a bank of delays; what is left of those before."""
     left = _pass(own, which, time)
-    row = sums[DELAYS]
+    row = sums[BANKS * DELAYS]
     row[YY], row[Y1], row[ONE] = row[YY] * left + weight * y * y, row[Y1] * left + weight * y, row[ONE] * left + weight
     return left
 
 
 @inlined
-def compare_delayed(own, which, hypotheses, sums, overlap, intercept, evidence, soon, later, sure):
+def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, evidence, soon, large, later, sure):
     """1 + the mistake that is now certain, or 0.
 
     evidence: that is needed for the mistake `later`; soon: for all others; sure: what else is measured makes a mistake
@@ -146,18 +150,24 @@ def compare_delayed(own, which, hypotheses, sums, overlap, intercept, evidence, 
     """
     first, end = FIRST[hypotheses], FIRST[hypotheses + 1]
     least, last = SURE if sure else min(evidence, soon), own.usual[which]
-    factor = HYPOTHESES[first + last // DELAYS, 1]
-    if _misfit_delayed(sums, last % DELAYS, factor, intercept) < least * overlap:
+    factor, place = HYPOTHESES[first + last // (BANKS * DELAYS), 1], last % (BANKS * DELAYS)
+    if _misfit_delayed(sums, place, factor, intercept) < least * overlap:
         own.repeated[which] = 0
         return own.label[which]
     honest, best, usual, mistake = math.inf, math.inf, 0, first
     for row in range(first, end):
-        for i in range(DELAYS):
-            each = _misfit_delayed(sums, i, HYPOTHESES[row, 1], intercept)
-            if HYPOTHESES[row, 0] == 0.0:
+        label, factor = HYPOTHESES[row, 0], HYPOTHESES[row, 1]
+        thrown = label == 1.0 + MISTAKES.command_too_large
+        begin = (BANKS - 1) * DELAYS if thrown else 0
+        for i in range(begin, begin + DELAYS if thrown else (BANKS - 1) * DELAYS):
+            each = _misfit_delayed(sums, i, factor, astray if thrown else intercept)
+            if label == 0.0:
                 if each < honest:
-                    honest, usual = each, (row - first) * DELAYS + i
+                    honest, usual = each, (row - first) * BANKS * DELAYS + i
             elif each < best:
                 best, mistake = each, row
-    enough = SURE if sure else evidence if whole(HYPOTHESES[mistake, 0]) == later else soon
+    label = whole(HYPOTHESES[mistake, 0])
+    enough = SURE if sure else evidence if label == later else soon
+    if label == 1 + MISTAKES.command_too_large:
+        enough = large
     return _decide(own, which, honest, usual, mistake, best, overlap, enough, 1 if sure else AGAIN)
