@@ -8,7 +8,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from adaptrack.core import path
+from adaptrack.core import road as kernel
 from adaptrack.road import Clothoid, Road, load_road, road_through
+from adaptrack.road.ahead import pack_roads
 from adaptrack.road.table import of_pieces
 
 pytestmark = pytest.mark.kernels
@@ -19,17 +21,18 @@ OVAL = np.stack([50.0 * np.cos(TURNS), 20.0 * np.sin(TURNS)], axis=-1)
 FEW = [(0.0, 0.0), (1.0, 0.1), (2.0, 0.4), (3.0, 0.5), (4.0, 0.2)]
 
 
-def made(points, closed=False, size=None):
+def made(points, closed=False):
     """Status, number of pieces or of a point, and the memory, filled with what is no number before."""
     points = np.array(points, dtype=np.float64)
-    memory = np.full(path.path_words(len(points)) if size is None else size, np.nan)
+    memory = np.full(max(path.path_words(points, closed), 999), np.nan)
     return *path.path_through(points, closed, memory), memory
 
 
 def line_of(points, closed=False):
     status, count, memory = made(points, closed)
-    assert status == path.OK
-    return path.line_in(memory, count)
+    line, _ = path.line_in(memory)
+    assert (status, count) == (path.OK, len(line.pieces))
+    return line
 
 
 def spline_of(points, closed):
@@ -83,16 +86,17 @@ def test_a_path_nears_a_clothoid_with_the_fourth_power_of_the_distance_of_its_po
     assert (orders > 3.5).all()
 
 
-def test_the_numbers_of_a_path_are_those_of_its_road():
-    """Length, lap, turn of the lap; the bound of the curvature is one."""
-    line = line_of(OVAL, True)
-    length, closed, turn, most = line.numbers
-    road = road_through(OVAL, closed=True)
-    assert (length, closed) == (road.length, 1.0)
-    assert turn == pytest.approx(2.0 * math.pi)
-    assert np.abs(road.at(np.linspace(0.0, length, 500)).curvature).max() <= most
-    for ours, theirs in zip(line, road.packed(), strict=True):
-        assert ours.tobytes() == theirs.tobytes()
+def test_a_memory_holds_what_controllers_read_of_a_road():
+    """Numbers, pieces and headings as `pack_roads` has them, to the bit."""
+    for points, closed in ((BENDS, False), (OVAL, True)):
+        _, _, memory = made(points, closed)
+        (start, pieces, numbers), headings = path.line_in(memory)
+        road = road_through(points, closed=closed)
+        packed = pack_roads([road])
+        for ours, theirs in zip((numbers, start, pieces, headings), packed[1:], strict=True):
+            assert ours.tobytes() == theirs.tobytes()
+        assert numbers[kernel.LAP_TURN] == pytest.approx(2.0 * math.pi if closed else 0.0)
+        assert np.abs(road.at(np.linspace(0.0, road.length, 500)).curvature).max() <= numbers[kernel.MOST_CURVATURE]
 
 
 def test_a_path_far_from_the_origin_is_the_same_path():
@@ -142,17 +146,17 @@ def test_what_makes_no_path_has_a_status_and_a_place(points, status, where):
 
 
 def test_no_number_outside_of_a_memory_is_touched_and_too_small_a_one_is_said():
-    points, size = np.array(FEW), path.path_words(len(FEW))
+    points = np.array(FEW)
+    size = path.path_words(points, False)
     statuses = []
     for words in [*range(0, 60), *range(60, size + 1, 23), size]:
         around = np.full(words + 20, 7.0)
-        status, count = path.path_through(points, False, around[10 : 10 + words])
+        status, _ = path.path_through(points, False, around[10 : 10 + words])
         statuses.append(status)
         assert (around[:10] == 7.0).all()
         assert (around[10 + words :] == 7.0).all()
     assert set(statuses) == {path.TOO_SMALL, path.OK}
     assert statuses == sorted(statuses, reverse=True)
-    assert path.words_of(count) <= size
 
 
 def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
@@ -167,7 +171,7 @@ def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
         status, found, memory = made(points, closed)
         seen.add(status)
         if status == path.OK:
-            line = path.line_in(memory, found)
+            line, _ = path.line_in(memory)
             assert all(np.isfinite(each).all() for each in line)
             assert (np.diff(line.start) > 0.0).all()
             first = of_pieces(line.pieces, -np.ones(found))

@@ -7,7 +7,7 @@ arc length. The speed |dc/dz| over a range of the parameter z is interpolated at
 arc lengths of the nodes of a piece are found by Newton's method, and position and heading are interpolated there. A
 piece that misses the cubic by more than `FIT` between its nodes, or turns by more than 1 rad, is halved.
 
-The memory holds 4 numbers, the pieces, and where they begin: the three arrays of a `Centreline`, see `line_in`.
+The memory then holds a road alone as `core.road.Roads` has it: its numbers, pieces, where they begin, and headings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import math
 import numpy as np
 
 from .kernel import boolean, exported, inlined, int64, local, matrix, several, shaped, vector, void
-from .maths.exact import floor, sqrt
+from .maths.bits import whole
+from .maths.exact import ceil, floor, sqrt
 from .maths.exponential import hypot
 from .maths.trigonometric import arctangent_of_ratio, atan2
 from .road import (
@@ -25,17 +26,24 @@ from .road import (
     ALONG,
     CLOSED,
     COS,
+    COUNT,
     DEGREE,
+    FIRST_HEADING,
+    FIRST_PIECE,
+    FIRST_START,
     HALF,
     HEADING,
+    HEADING_SPACING,
     LAP_TURN,
     LENGTH,
     MOST_CURVATURE,
+    NUMBERS,
     SIN,
     TURNED,
     Centreline,
     X,
     Y,
+    headings_along,
 )
 
 OK, TOO_FEW, NOT_FINITE, TOO_FAR, TWICE, TOO_SHORT, KINK, TOO_SMALL = range(8)
@@ -47,8 +55,10 @@ FEWEST, FARTHEST, WIDEST, SAME, SHORTEST = 4, 1e8, 1e4, 1e-6, 0.01
 
 COLUMNS = TURNED + DEGREE + 1
 """Of a piece."""
-NUMBERS = 4
-"""Of a centre line; the pieces lie behind them."""
+SPACING = 0.5
+"""m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
+STRAIGHTER = 1.25
+"""Times the length of their polygon that a path is expected to be long at most."""
 SCRATCH = 5
 """Numbers for each point that are needed while a path is made."""
 TURN = 1.0
@@ -85,29 +95,43 @@ _at_places, _of_nodes, _three = local(_COUNT), local(NODES), local(3)
 
 
 # -- the memory -------------------------------------------------------------------------------------------------------
-@exported(int64(int64))
-def path_words(points):
-    """How many numbers of memory are enough for a path through so many points.
+@inlined
+def cells_of(length):
+    """Between the headings of a path of some length (m)."""
+    return max(1, whole(ceil(length / SPACING)))
 
-    For every step a piece, and a fourth more: enough where bends between two points are below about 1 rad. A path of
-    `count` pieces uses the first `words_of(count)` of them when it is made.
+
+@exported(int64(matrix, boolean))
+def path_words(points, closed):
+    """How many numbers of memory are enough for a path through points (n, 2); 0 for too few of them.
+
+    For every step a piece, and a fourth more: enough where bends between two points are below about 1 rad.
     """
-    return NUMBERS + SCRATCH * points + (COLUMNS + 1) * (points + points // 4 + 16)
+    count, length = len(points), 0.0
+    if count < FEWEST or points.shape[1] < 2:
+        return 0
+    for k in range(count if closed else count - 1):
+        dx, dy = _step(points, k)
+        length += hypot(dx, dy)
+    cells = cells_of(STRAIGHTER * length if length <= WIDEST * count else 0.0)  # else `path_through` says what is wrong
+    return SCRATCH * count + words_of(count + count // 4 + 16, cells)
 
 
 @inlined
-def words_of(count):
-    """The numbers of a path of so many pieces."""
-    return NUMBERS + COLUMNS * count + count + 1
+def words_of(count, cells):
+    """The numbers of a path of so many pieces, and cells between headings."""
+    return len(NUMBERS) + COLUMNS * count + count + 1 + cells + 1
 
 
 @inlined
-def line_in(memory, count):
-    """The `Centreline` of a path of so many pieces that a memory holds."""
-    end = NUMBERS + COLUMNS * count
-    return Centreline(
-        memory[end : end + count + 1], shaped(memory[NUMBERS:end], count, COLUMNS), memory[:NUMBERS]
-    )  # fmt: skip
+def line_in(memory):
+    """The centre line, and the table of headings, of the path that a memory holds."""
+    first = len(NUMBERS)
+    count, cells = whole(memory[COUNT]), cells_of(memory[LENGTH])
+    start = first + COLUMNS * count
+    headings = start + count + 1
+    line = Centreline(memory[start:headings], shaped(memory[first:start], count, COLUMNS), memory[:first])
+    return line, memory[headings : headings + cells + 1]
 
 
 # -- the spline -------------------------------------------------------------------------------------------------------
@@ -379,12 +403,12 @@ def line_numbers(start, pieces, closed, numbers):
 def path_through(points, closed, memory):
     """Make the path through points (n, 2) of x, y (m), a lap if `closed`: it then ends before its start.
 
-    `OK` and the number of pieces, see `line_in`; or what is wrong, and the number of the point: nothing that the
+    `OK` and the number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the
     memory then holds is to be used.
     """
     count = len(points)
     scratch = memory.size - SCRATCH * count
-    room = min((scratch - NUMBERS) // COLUMNS, (memory.size - NUMBERS - 1) // (COLUMNS + 1))
+    room = min((scratch - len(NUMBERS)) // COLUMNS, (memory.size - words_of(0, 1)) // (COLUMNS + 1))
     if count >= FEWEST and room < count:
         return TOO_SMALL, 0
     lengths, x, y = memory[scratch:], memory[scratch + count :], memory[scratch + 2 * count :]
@@ -392,7 +416,7 @@ def path_through(points, closed, memory):
     if status != OK:
         return status, flaw
     _write_slopes(points, closed, lengths, memory[scratch + 3 * count :], x, y, memory[scratch + 4 * count :])
-    pieces = shaped(memory[NUMBERS : NUMBERS + COLUMNS * room], room, COLUMNS)
+    pieces = shaped(memory[len(NUMBERS) : len(NUMBERS) + COLUMNS * room], room, COLUMNS)
     made = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
@@ -405,9 +429,16 @@ def path_through(points, closed, memory):
             pieces[row, X], pieces[row, Y] = points[k, 0] + pieces[row, X], points[k, 1] + pieces[row, Y]
     if closed and _kinked(_jump(pieces[made - 1], pieces[0])):
         return KINK, 0
-    line = line_in(memory, made)
-    line.start[0] = 0.0
-    for k in range(made):
-        line.start[k + 1] = line.start[k] + 2.0 * line.pieces[k, HALF]
-    line_numbers(line.start, line.pieces, closed, line.numbers)
+    start = memory[len(NUMBERS) + COLUMNS * made :]
+    start[0] = 0.0
+    for row in range(made):
+        start[row + 1] = start[row] + 2.0 * pieces[row, HALF]
+    cells = cells_of(start[made])
+    if words_of(made, cells) > memory.size:
+        return TOO_SMALL, count - 1
+    line_numbers(start[: made + 1], pieces[:made], closed, memory)
+    memory[FIRST_START] = memory[FIRST_PIECE] = memory[FIRST_HEADING] = 0.0
+    memory[COUNT], memory[HEADING_SPACING] = made, start[made] / cells
+    line, headings = line_in(memory)
+    headings_along(line, headings)
     return OK, made

@@ -150,7 +150,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         When points are too few, not finite, alike in a row, or fold back on themselves.
     """
     points = _checked("road_through", points, path.SHORTEST)
-    size = path.path_words(len(points))
+    size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
         status, found = path.path_through(points, closed, memory)
@@ -159,7 +159,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         size *= 2
     if status != path.OK:
         raise InvalidInput(f"road_through: {_FLAWS[status].format(found, WIDEST)}")
-    line = path.line_in(memory, found)
+    line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
     return Road(name=name, table=table, closed=closed, **alongs(along))
 

@@ -16,7 +16,7 @@ from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
-from adaptrack.core.path import NUMBERS, line_numbers
+from adaptrack.core.path import line_numbers
 from adaptrack.core.road import X, Y
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
@@ -297,7 +297,7 @@ class Road:
     @cached_property
     def _packed(self) -> Any:
         start, pieces = (np.ascontiguousarray(each) for each in self.table)
-        numbers = np.empty(NUMBERS)
+        numbers = np.empty(4)
         line_numbers(start, pieces, self.closed, numbers)
         return kernel.Centreline(start, pieces, numbers)
 
