@@ -181,7 +181,9 @@ Scheduling = record(
 Tracking = record("Tracking", (("tracker", Tracker), ("step", Step), ("scheduling", Scheduling)))
 """A tracker with an MPC, on curved roads."""
 
-LawTracking = record("LawTracking", (("tracker", Tracker), ("law", Law), ("tuning", vector), ("scheduling", Scheduling)))
+LawTracking = record(
+    "LawTracking", (("tracker", Tracker), ("law", Law), ("tuning", vector), ("scheduling", Scheduling))
+)
 """A tracker with a control law in its only slot; tuning (entries,): as used."""
 
 
