@@ -9,43 +9,30 @@ typedef union {
     double number;
     int64_t whole;
 } word;
-typedef struct {
-    uint64_t at; /* an address, in 8 bytes everywhere */
-    int64_t size;
-} array;
-typedef struct {
-    array start;
-    uint64_t pieces;
-    int64_t pieces_size[2];
-    array numbers;
-} centreline;
 extern int64_t adaptrack_tracker_engage(double wheel_angle, double near, void *tracker);
 extern void adaptrack_tracker_follow(double near, void *tracker);
-extern int64_t adaptrack_path_words(int64_t points);
+extern int64_t adaptrack_path_words(const double *points, int64_t count, int64_t two, int64_t closed);
 extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double *memory,
                                    int64_t size, word answers[2]);
-extern void adaptrack_headings_along(const centreline *line, double *headings, int64_t count);
 
 /* Place in the record's words; its tracker is at the beginning. */
 static uint64_t *record_of(void *tracker) { return (uint64_t *)adaptrack_block_record(tracker); }
 
 static double *numbers_at(const uint64_t *record, size_t place) { return (double *)(uintptr_t)record[place]; }
 
-/* -- a path: a head, numbers of the road, the path as the kernel makes it, headings -------------------------------- */
+/* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ----------- */
 typedef struct {
     uint64_t mark;
     uint32_t id; /* CRC-32 of the points */
     uint32_t closed;
     int64_t pieces;
     int64_t headings;
-    double length;
     uint64_t of; /* 0: the road of the only scenario */
-    double numbers[10];
-} path_head; /* 128 bytes */
-typedef char path_head_has_128_bytes[sizeof(path_head) == 128 ? 1 : -1];
+    uint64_t reserved[3];
+} path_head; /* 64 bytes, a cache line */
+typedef char path_head_has_64_bytes[sizeof(path_head) == 64 ? 1 : -1];
 static const uint64_t PATH = 0x687461706b726461u; /* "adrkpath" */
-enum { NUMBERS = 4, COLUMNS = ADAPTRACK_PIECE_COLUMNS };
-static const double SPACING = 0.5; /* m, at most, between headings */
+enum { NUMBERS = ADAPTRACK_ROAD_NUMBERS, COLUMNS = ADAPTRACK_PIECE_COLUMNS };
 
 static int is_finite(double value) { return value - value == 0.0; }
 
@@ -56,68 +43,33 @@ static const path_head *head_of(const void *path) {
     return path && (uintptr_t)path % 8u == 0 && head->mark == PATH ? head : 0;
 }
 
-/* m, more than the length of a path through these points; NaN or infinite where one is no number. */
-static double longest(const double *points, size_t count, int closed) {
-    double sum = 0.0;
-    for (size_t i = closed ? 0 : 1; i < count; i++) {
-        size_t before = i > 0 ? i - 1 : count - 1;
-        sum += magnitude(points[2 * i] - points[2 * before]) + magnitude(points[2 * i + 1] - points[2 * before + 1]);
-    }
-    return 1.1 * sum;
-}
+static const double *road_of(const path_head *head) { return (const double *)(const void *)(head + 1); }
 
 size_t adaptrack_path_size(const double *points, size_t count, int closed) {
-    const size_t most = ADAPTRACK_MOST_POINTS;
-    double length, headings;
-    size_t words;
-    if (!points || count < 4 || count > most) return 0;
-    length = longest(points, count, closed);
-    if (!(length < 1e7)) return 0;
-    words = (size_t)adaptrack_path_words((int64_t)count);
-    headings = length / SPACING + 3.0; /* they lie where the kernel's scratch was */
-    if (headings > 5.0 * (double)count) words += (size_t)(headings - 5.0 * (double)count);
-    return sizeof(path_head) + 8u * words;
+    if (!points || count < 4 || count > ADAPTRACK_MOST_POINTS) return 0;
+    return sizeof(path_head) + 8u * (size_t)adaptrack_path_words(points, (int64_t)count, 2, closed != 0);
 }
 
 adaptrack_error adaptrack_path(const double *points, size_t count, int closed, void *path, size_t path_size,
                                size_t *flaw) {
     path_head *head = (path_head *)path;
-    double *memory, *end;
-    size_t words, used;
+    double *memory;
     word answers[2];
-    centreline line;
     if (!points || !path || (uintptr_t)path % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
     if (flaw) *flaw = count;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) return ADAPTRACK_ARITHMETIC;
     if (count < 4 || count > ADAPTRACK_MOST_POINTS) return ADAPTRACK_BAD_PATH;
     if (path_size < sizeof *head + 8u * NUMBERS) return ADAPTRACK_TOO_SMALL;
     head->mark = 0;
-    memory = (double *)path + sizeof *head / 8u;
-    words = (path_size - sizeof *head) / 8u;
-    adaptrack_path_through(points, (int64_t)count, 2, closed != 0, memory, (int64_t)words, answers);
+    memory = (double *)(void *)(head + 1);
+    adaptrack_path_through(points, (int64_t)count, 2, closed != 0, memory,
+                           (int64_t)((path_size - sizeof *head) / 8u), answers);
+    if (flaw) *flaw = (size_t)answers[1].whole;
     if (answers[0].whole == ADAPTRACK_PATH_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
-    if (answers[0].whole != 0) {
-        if (flaw) *flaw = (size_t)answers[1].whole;
-        return ADAPTRACK_BAD_PATH;
-    }
-    head->pieces = answers[1].whole;
-    head->closed = closed != 0;
-    head->length = memory[0];
-    end = memory + NUMBERS + COLUMNS * head->pieces;
-    head->headings = (int64_t)(head->length / SPACING);
-    if ((double)head->headings * SPACING < head->length) head->headings++;
-    if (head->headings < 1) head->headings = 1;
-    used = (size_t)(end - memory) + (size_t)head->pieces + 1u;
-    if (used + (size_t)head->headings + 1u > words) return ADAPTRACK_TOO_SMALL;
-    head->of = 0;
-    for (int i = 0; i < 10; i++) head->numbers[i] = i < NUMBERS ? memory[i] : 0.0;
-    head->numbers[ADAPTRACK_ROAD_COUNT] = (double)head->pieces;
-    head->numbers[ADAPTRACK_ROAD_SPACING] = head->length / (double)head->headings;
-    line.start.at = (uint64_t)(uintptr_t)end, line.start.size = head->pieces + 1;
-    line.pieces = (uint64_t)(uintptr_t)(memory + NUMBERS);
-    line.pieces_size[0] = head->pieces, line.pieces_size[1] = COLUMNS;
-    line.numbers.at = (uint64_t)(uintptr_t)memory, line.numbers.size = NUMBERS;
-    adaptrack_headings_along(&line, memory + used, head->headings + 1);
+    if (answers[0].whole != 0) return ADAPTRACK_BAD_PATH;
+    head->closed = closed != 0, head->pieces = answers[1].whole, head->of = 0;
+    head->headings = (int64_t)(memory[ADAPTRACK_ROAD_LENGTH] / memory[ADAPTRACK_ROAD_SPACING] + 0.5) + 1;
+    for (int i = 0; i < 3; i++) head->reserved[i] = 0;
     head->id = adaptrack_crc32(points, 16u * count) ^ (closed ? 0xffffffffu : 0u);
     head->mark = PATH;
     return ADAPTRACK_OK;
@@ -125,7 +77,7 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, v
 
 double adaptrack_path_length(const void *path) {
     const path_head *head = head_of(path);
-    return head ? head->length : NAN;
+    return head ? road_of(head)[ADAPTRACK_ROAD_LENGTH] : NAN;
 }
 
 static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *head) {
@@ -135,7 +87,7 @@ static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *h
         if (!is_finite(plan->s[i]) || !(plan->speed[i] >= 0.0) || !is_finite(plan->speed[i])) return ADAPTRACK_BAD_ARGUMENT;
         if (i > 0 ? !(plan->s[i] > plan->s[i - 1]) : plan->s[i] != 0.0) return ADAPTRACK_BAD_ARGUMENT;
     }
-    if (!(magnitude(plan->s[plan->count - 1] - head->length) <= 1.0)) return ADAPTRACK_BAD_ARGUMENT;
+    if (!(magnitude(plan->s[plan->count - 1] - road_of(head)[ADAPTRACK_ROAD_LENGTH]) <= 1.0)) return ADAPTRACK_BAD_ARGUMENT;
     return ADAPTRACK_OK;
 }
 
@@ -146,15 +98,14 @@ static void put_array(uint64_t *record, size_t place, const double *at, int64_t 
 
 /* Let the record's road and plan be those of the caller. */
 static void put_path(uint64_t *record, const path_head *head, const adaptrack_plan *plan) {
-    const double *memory = (const double *)(const void *)head + sizeof *head / 8u;
-    const double *start = memory + NUMBERS + COLUMNS * head->pieces;
+    const double *memory = road_of(head), *start = memory + NUMBERS + COLUMNS * head->pieces;
     record[ADAPTRACK_PATH_OF] = (uint64_t)(uintptr_t)&head->of, record[ADAPTRACK_PATH_OF + 1] = 1;
-    record[ADAPTRACK_PATH_NUMBERS] = (uint64_t)(uintptr_t)head->numbers;
-    record[ADAPTRACK_PATH_NUMBERS + 1] = 1, record[ADAPTRACK_PATH_NUMBERS + 2] = ADAPTRACK_ROAD_NUMBERS;
+    record[ADAPTRACK_PATH_NUMBERS] = (uint64_t)(uintptr_t)memory;
+    record[ADAPTRACK_PATH_NUMBERS + 1] = 1, record[ADAPTRACK_PATH_NUMBERS + 2] = NUMBERS;
     put_array(record, ADAPTRACK_PATH_START, start, head->pieces + 1);
     record[ADAPTRACK_PATH_PIECES] = (uint64_t)(uintptr_t)(memory + NUMBERS);
     record[ADAPTRACK_PATH_PIECES + 1] = (uint64_t)head->pieces, record[ADAPTRACK_PATH_PIECES + 2] = COLUMNS;
-    put_array(record, ADAPTRACK_PATH_HEADINGS, start + head->pieces + 1, head->headings + 1);
+    put_array(record, ADAPTRACK_PATH_HEADINGS, start + head->pieces + 1, head->headings);
     if (plan && plan->count > 0) {
         put_array(record, ADAPTRACK_PLAN_S, plan->s, (int64_t)plan->count);
         put_array(record, ADAPTRACK_PLAN_SPEED, plan->speed, (int64_t)plan->count);
