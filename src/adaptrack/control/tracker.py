@@ -29,7 +29,7 @@ from adaptrack.control.tracking import packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF
 from adaptrack.core.kernel import Resident
 from adaptrack.core.tracker.after import tracker_after
-from adaptrack.core.tracker.before import tracker_before, tracker_judge
+from adaptrack.core.tracker.before import tracker_before
 from adaptrack.core.tracker.follow import tracker_follow
 from adaptrack.core.tracker.give import tracker_engage, tracker_give
 from adaptrack.core.tracker.records import REQUEST, UNKNOWN
@@ -140,7 +140,8 @@ class Tracker:
         self._warned = False
         self._doubted: set[int] = set()
         self._set_path(path, plan)
-        self._load(tracker_of(controller, path, plan, furthest))
+        self._check = InputCheck(controller.vehicle, self.period)
+        self._load(tracker_of(controller, path, plan, furthest, self._check))
         self._recorder = None if record is None else Recorder(record)
         if self._recorder is not None:
             weakref.finalize(self, self._recorder.close)
@@ -185,7 +186,7 @@ class Tracker:
         near: arc length; the car is looked for within 400 m of it, without one on the whole path. What a controller has
         learned of its car stays; what was said of the inputs is forgotten.
         """
-        self._check = InputCheck(self.controller.vehicle, self.period)
+        self._check.forget()
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
         self._obey()
 
@@ -266,32 +267,18 @@ class Tracker:
             tracker_after(resident)
         self._obey()
         tracked = self._answer()
-        if tracked.status is Status.REPEATED:
-            return tracked
-        taken, _, *rest = kernel.sample.tolist()
-        x, y, yaw, *moving = (each if each == each else math.nan for each in rest[:8])
-        self._check_inputs(taken, at, (x, y, yaw), moving, tracked.command)
-        tracked = self._answer()
-        if self._recorder is not None:
-            self._recorder.add(taken, at, (*moving, x, y, yaw), tracked.command, tracked.offset)
+        if self._recorder is not None and tracked.status is not Status.REPEATED:
+            taken, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(given)].tolist()
+            self._recorder.add(taken, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset)
         return tracked
 
     def _answer(self) -> Tracked:
         """What a call gives."""
-        command, status, *beside, belief, _, _ = self._kernel.tracked.tolist()
+        command, status, *beside, belief, _, suspect = self._kernel.tracked.tolist()
+        for sentence in self._check.say(int(suspect)):
+            _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == UNKNOWN else BeliefState(int(belief))
         return Tracked(command, _STATUSES[int(status)], *beside, state, self._check.suspect)
-
-    def _check_inputs(
-        self, t: float, at: float, pose: tuple[float, float, float], moving: list[float], command: float
-    ) -> None:
-        """Say what inputs contradict each other; let the kernels know of it, and of sliding."""
-        check = self._check
-        for sentence in check.add(t, at, pose, *moving, command):
-            _log.warning("adaptrack: inputs contradict each other. %s", sentence)
-        if check.sliding or check.against_steering:
-            tracker_judge(check.sliding, check.against_steering, self._resident)
-            self._obey()
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""

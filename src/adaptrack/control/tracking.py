@@ -13,6 +13,7 @@ from adaptrack.control.controllers.base import CompiledController
 from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
+from adaptrack.control.input_check import InputCheck
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core.controllers.mpc_step import NOW, Step
 from adaptrack.core.rollout import law_batch
@@ -23,9 +24,9 @@ from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import stacked
 
 
-def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float) -> Any:
+def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
     """A tracker around any controller before it engages (`core.tracker.records.Tracker`)."""
-    return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan))
+    return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
 
 
 def packed_plan(plan: SpeedPlan | None) -> Any:
@@ -70,7 +71,7 @@ def tracking_of(controller: Controller, path: Road, plan: SpeedPlan | None = Non
         raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
     tuning = controller.packed_tuning()
     plans = records.scheduling(no_schedule() if scheduler is None else scheduler.plan(1), tuning)
-    tracker = tracker_of(controller, path, plan, furthest)
+    tracker = tracker_of(controller, path, plan, furthest, InputCheck(controller.vehicle, controller.period))
     tracker_engage(0.0, math.nan, tracker)
     if isinstance(controller, MPC):
         if not controller.in_kernel:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, exported, inlined, int64, void
+from ..input_check.call import check_call
+from ..input_check.record import memory_of
+from ..kernel import Place, exported, inlined, int64
 from ..maths.exact import clip
 from ..models.contract import MEASURED
 from ..road import CLOSED, foot_near, point_at
@@ -34,6 +36,7 @@ from .records import (
     SLIDING,
     SPEEDS,
     STANDING,
+    TRACKED,
     Tracker,
 )
 
@@ -57,8 +60,7 @@ def tracker_before(tracker):
         return 1
     if m.due == 0:
         if m.open > 0:
-            m.open = 0
-            tell(m, tracker.tracked)
+            _end(tracker, m)
         return 0
     sampled = m.due == 1  # instants without a call are gone through on the estimate
     if m.first == 0:
@@ -69,18 +71,25 @@ def tracker_before(tracker):
     return 1
 
 
-@exported(void(int64, int64, Place(Tracker)))
-def tracker_judge(sliding, against_steering, tracker):
-    """Let the call at hand say that the car slides, or turns against its commands, as its inputs show."""
-    m, move = tracker.memory[0], tracker.settings[0].move
-    if m.left_out > 0:
-        return
-    if sliding > 0 and (m.status == OK or m.status == ESTIMATED or m.status == REVERSE):
+@inlined
+def _end(tracker, m):
+    """The end of a call: what its inputs say of each other, and what it gives."""
+    m.open = 0
+    if m.left_out == 0:
+        tracker.tracked[TRACKED.suspect] = check_call(tracker.sample, m.command, tracker.check)
+        _judge(tracker, m)
+    tell(m, tracker.tracked)
+
+
+@inlined
+def _judge(tracker, m):
+    """Let the status say that the car slides; take a command back while the car turns against it."""
+    found, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
+    if found.sliding > 0 and (m.status == OK or m.status == ESTIMATED or m.status == REVERSE):
         m.status = SLIDING
-    if against_steering > 0 and m.answered > 0:  # steering on would drive it further away
+    if found.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
         hold(tracker, m, m.command_before - clip(m.command_before, -move, move))
         m.status = HELD
-    tell(m, tracker.tracked)
 
 
 @inlined

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ..input_check.call import begin_check
 from ..kernel import Place, exported, float64, inlined, int64, void
 from ..maths.bits import whole
 from ..maths.exact import floor
@@ -40,6 +41,7 @@ from .records import (
     SAMPLE,
     SHARE_OF_LAST,
     STANDING,
+    TRACKED,
     UNKNOWN,
     Tracker,
 )
@@ -57,7 +59,8 @@ def tracker_engage(angle, near, tracker):
     m = tracker.memory[0]
     begin_anew(tracker, m, angle)
     m.near, m.open, m.answered, m.left_out = near, 0, 0, 0
-    tracker.request[REQUEST.late] = math.nan
+    tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
+    begin_check(tracker.check)
     tell(m, tracker.tracked)
     return 1
 
@@ -74,6 +77,7 @@ def tracker_give(tracker):
     m.left_out = _left_out(m, at)
     if m.left_out > 0:
         return
+    sample[SAMPLE.now] = at
     _keep(m, sample, abs(at - t) > LONGEST_GAP)
     if math.isfinite(sample[SAMPLE.speed]):
         m.speed = sample[SAMPLE.speed]
