@@ -66,7 +66,7 @@ def foot_of_car(road: Road, x: float, y: float, yaw: float, across: float) -> fl
 
     across: m, by which a foot may be nearer where the road leads at right angles to the car.
     """
-    return float(kernel.nearest(x, y, yaw, across, road.packed()))
+    return float(kernel.nearest(x, y, yaw, across, math.nan, road.packed()))
 
 
 @dataclass(frozen=True, eq=False)
