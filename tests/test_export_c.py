@@ -19,13 +19,15 @@ from adaptrack.control.tracker import Tracker
 from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.c_library import export_c, own_target
+from adaptrack.export.recorded import record_drive
 from adaptrack.export.tracking import Twin
 from adaptrack.road import Comfort, plan_speed, road_through
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 CAR = at.load_vehicle("midsize-sedan")
 TARGET = own_target()
-POINTS = np.stack([np.arange(0.0, 600.0, 5.0), 12.0 * (1.0 - np.cos(np.arange(0.0, 600.0, 5.0) / 45.0))], axis=-1)
+ALONG = np.arange(0.0, 300.0, 5.0)
+POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
 CONTROLLERS = {
     "informed": lambda: at.MPC(CAR, profile="road"),
     "production": lambda: at.MPC(CAR, profile="production"),
@@ -115,10 +117,10 @@ class Exported:
 
 
 class CPath:
-    def __init__(self, c, points, closed=False):
+    def __init__(self, c, points, closed=False, more=0):
         self.points = np.ascontiguousarray(points, float)
         at_ = ctypes.c_void_p(self.points.ctypes.data)
-        size = c.adaptrack_path_size(at_, ctypes.c_size_t(len(points)), int(closed))
+        size = c.adaptrack_path_size(at_, ctypes.c_size_t(len(points)), int(closed)) + more
         self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
         self.place = ctypes.c_void_p(self.raw.ctypes.data)
         self.error = c.adaptrack_path(at_, ctypes.c_size_t(len(points)), int(closed), self.place,
@@ -250,7 +252,7 @@ def compared(library_of, way, name, steps, seed=0):
     return found
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", ["informed", "learning", "nn", "stanley"])
 def test_every_step_is_that_of_python(name, library_of, way, caplog):
     assert compared(library_of, way, name, 400) == 0
 
@@ -259,6 +261,22 @@ def test_every_step_is_that_of_python(name, library_of, way, caplog):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_twenty_thousand_steps_are_those_of_python(name, library_of, way, caplog):
     assert compared(library_of, way, name, 20_000, seed=1) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_ten_drives_are_those_of_python(name, library_of):
+    made, kinds = library_of(name), ("country", "town", "mountain", "motorway", "lap")
+    differ = 0
+    for seed in range(10):
+        road = at.generate_road(kinds[seed % 5], seed=seed, length=500.0)
+        drive = record_drive(made.controller, at.DualTrack(CAR), road, plan_speed(road, CAR), at.load_profile("road"),
+                             seconds=20.0, seed=seed)  # fmt: skip
+        tracker, path = CTracker(made), CPath(made.c, drive.points, drive.closed)
+        assert tracker.follow(path, drive.plan) == exported.OK
+        answers = iter(drive.answers)
+        differ += differing(tracker, lambda _, answers=answers: next(answers), drive.samples)
+    assert differ == 0
 
 
 # -- constants and state ----------------------------------------------------------------------------------------------
@@ -381,6 +399,13 @@ def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
     assert tracker.engage() == exported.BUSY
 
 
+def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
+    made = library_of("informed")
+    assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
+        exported.TOO_SMALL, exported.TOO_SMALL
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("flaw", ["few", "twice", "nan", "inf", "kink", "far"])
 def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
     made, points, where = library_of("informed"), POINTS.copy(), 7
@@ -389,13 +414,12 @@ def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
     elif flaw == "twice":
         points[8] = points[7]
     elif flaw == "kink":
-        points = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 1e-5], [0.0, 1e-5], [0.0, 5.0]])
-        where = None
+        points, where = np.array([[3.0 - abs(k), 0.0] for k in range(-3, 4)]), 3
     else:
         points[7, 0] = {"nan": math.nan, "inf": math.inf, "far": 1e9}[flaw]
-    path = CPath(made.c, points)
-    assert path.error in (exported.BAD_PATH, exported.BAD_ARGUMENT)
-    assert where is None or path.flaw.value == where
+    path = CPath(made.c, points, more=100_000)
+    assert path.error == exported.BAD_PATH
+    assert path.flaw.value == where
 
 
 def test_a_plan_that_is_none_is_refused(library_of, way):
