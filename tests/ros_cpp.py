@@ -68,6 +68,7 @@ def shim(folder, *options):
     return library
 
 
+@cache
 def node(folder):
     """The node as a program, on stand-ins."""
     parts, made = controller(folder), folder / "node"
@@ -141,7 +142,7 @@ class CppFollower:
         return level, said, dict(each.split("=", 1) for each in values)
 
     def times(self, points, rounds):
-        """(rounds,) s each: an odometry and its tick, and another path."""
+        """(rounds,) s each: an odometry with its tick, and another path."""
         rows = np.column_stack([np.zeros(len(points)), points]).ravel()
         ticks, paths = np.empty(rounds), np.empty(rounds)
         self._library.ros_time(

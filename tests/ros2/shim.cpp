@@ -109,23 +109,24 @@ int ros_diagnosis(Handle *made, double now, char *text, std::size_t size) {
     return status.level;
 }
 
-// s, of `rounds` odometries with their ticks, and of as many paths, each another: messages are decoded already.
+// s, of `rounds` odometries with their ticks, and of as many paths that move on with the car along x: messages are
+// decoded already, and commands are not yet encoded.
 void ros_time(Handle *made, const double *rows, std::size_t count, int rounds, double *ticks, double *paths) {
     using clock = std::chrono::steady_clock;
     nav_msgs::msg::Path path = path_of(rows, count);
-    made->give(path, "map");
     for (int k = 0; k < rounds; k++) {
-        const double t = 0.05 * k, numbers[] = {t, rows[1] + 2.0 + 5.0 * t, rows[2], 0.0, 0.0, 0.0, 1.0, 5.0, 0.0};
+        const double t = 0.05 * k, y = 0.02 * (k * 7 % 5 - 2);
+        const double numbers[] = {t, rows[1] + 10.0 + 5.0 * t, y, 0.0, 0.0, 0.0, 1.0, 5.0, 0.0};
         const nav_msgs::msg::Odometry message = odometry_of(numbers);
         const auto began = clock::now();
+        made->give(path, "map");
+        const auto there = clock::now();
         made->give(message, "map", "base_link");
         made->follower.tick(t);
         const auto done = clock::now();
-        for (auto &each : path.poses) each.pose.position.x += 1e-3;
-        const auto again = clock::now();
-        made->give(path, "map");
-        paths[k] = std::chrono::duration<double>(clock::now() - again).count();
-        ticks[k] = std::chrono::duration<double>(done - began).count();
+        paths[k] = std::chrono::duration<double>(there - began).count();
+        ticks[k] = std::chrono::duration<double>(done - there).count();
+        for (auto &each : path.poses) each.pose.position.x += 0.25;
     }
 }
 }

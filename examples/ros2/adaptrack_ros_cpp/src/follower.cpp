@@ -44,6 +44,7 @@ Follower::Follower(const Parameters &given, const void *constants, std::size_t s
                                       {"longest_silence", given.longest_silence}, {"furthest", given.furthest}})
         if (!(value > 0.0 && std::isfinite(value)))
             throw std::invalid_argument(text_of("%s = %g: must be positive and finite.", name, value));
+    if (!std::isfinite(given.base_ahead)) throw std::invalid_argument("base_ahead: must be finite.");
     tracker_.resize((adaptrack_size(constants, size) + 7) / 8);
     const adaptrack_error error = adaptrack_init(tracker_.data(), 8 * tracker_.size(), constants, size);
     if (error != ADAPTRACK_OK) throw std::runtime_error(text_of("constants: adaptrack error %d.", static_cast<int>(error)));

@@ -5,7 +5,6 @@
 #define ADAPTRACK_ROS_CPP_MESSAGES_HPP
 #include "adaptrack_ros_cpp/follower.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -65,8 +64,8 @@ void speeds_of_path(const Path &path, std::vector<double> &speeds) {
             speeds.push_back(mean[k == 0 ? 0 : k - 1]);
             continue;
         }
-        const double share = (seconds(poses[k].header.stamp) - middle[k - 1]) / (middle[k] - middle[k - 1]);
-        speeds.push_back(mean[k - 1] + share * (mean[k] - mean[k - 1]));
+        const double slope = (mean[k] - mean[k - 1]) / (middle[k] - middle[k - 1]);
+        speeds.push_back(slope * (seconds(poses[k].header.stamp) - middle[k - 1]) + mean[k - 1]);
     }
 }
 
