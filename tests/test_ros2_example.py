@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import re
+import shutil
 import sys
 from dataclasses import asdict
 from functools import partial
@@ -412,6 +413,58 @@ def test_a_bend_is_planned_within_three_metres_per_second_squared(cpp):
     assert max(speeds) <= 10.0
     assert speeds[-1] == pytest.approx(math.sqrt(3.0 * 12.0), rel=0.05)
     assert np.diff(np.square(speeds)).min() > -2.0 * 1.5 * 0.3
+
+
+@pytest.mark.compiled
+def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_have(cpp):
+    """Numbers that are none, far away, clocks that jump, paths of one point, of points twice, that fold back."""
+    rng, made = np.random.default_rng(3), cpp[0].CppFollower(cpp[1])
+    strange = [math.nan, math.inf, -1e300, 1e9, 0.0, -50.0]
+    most, angles, going = follower.Follower().controller().limits.angle[1], [], 0
+    for k in range(3000):
+        time, values = 0.05 * k, {"x": 0.2 * k % 80.0, "y": rng.normal(0.0, 0.1), "speed": 4.0, "rate": 0.0}
+        if rng.random() < 0.2:
+            values[rng.choice(list(values))] = rng.choice(strange)
+        stamp = time + (rng.choice([-9.0, -0.1, 3.0, 1e6]) if rng.random() < 0.1 else 0.0)
+        message = odometry(stamp, **values)
+        if rng.random() < 0.05:
+            message.pose.pose.orientation.w = rng.choice(strange)
+        if rng.random() < 0.9:
+            made.odometry(message)
+        if rng.random() < 0.2:
+            points = STRAIGHT[: rng.integers(101)] + rng.normal(0.0, 0.02, 2)
+            if len(points) and rng.random() < 0.4:
+                points[rng.integers(len(points))] = rng.choice(strange, 2)
+            made.path(path(points, rng.integers(0, 9, len(points)) if rng.random() < 0.1 else None))
+        if rng.random() < 0.02:
+            made.engage(True, rng.choice([*strange, 0.1]))
+        command = made.tick(time + (rng.choice([-5.0, 9.0]) if rng.random() < 0.02 else 0.0))
+        angles.append(command.angle)
+        going += not command.stopping
+        made.diagnosis(time)
+    assert np.isfinite(angles).all()
+    assert np.abs(angles).max() <= most
+    assert going > 300
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
+    """With stand-ins of ament and of the packages that it finds."""
+    if shutil.which("cmake") is None:
+        pytest.skip("no cmake")
+    includes = ";".join(each.removeprefix("-I") for each in cpp[0].includes(folder)[2:])
+    stand_in = "macro(ament_target_dependencies)\nendmacro()\nmacro(ament_package)\nendmacro()\n"
+    for name in ("ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "nav_msgs", "std_msgs"):
+        (tmp_path / f"{name}Config.cmake").write_text(f"include_directories({includes})\n{stand_in}")
+    shutil.copytree(CPP, tmp_path / "package")
+    shutil.copytree(
+        folder, tmp_path / "package" / "controller", ignore=shutil.ignore_patterns("*.so", "*.o.d", "node*")
+    )
+    places = "-S", str(tmp_path / "package"), "-B", str(tmp_path / "build"), f"-DCMAKE_PREFIX_PATH={tmp_path}"
+    cpp[0].run("cmake", *places, *(f"-D{name}_DIR={tmp_path}" for name in ("ament_cmake", "rclcpp")))
+    cpp[0].run("cmake", "--build", str(tmp_path / "build"))
+    assert (tmp_path / "build" / "follower").exists()
 
 
 @pytest.mark.compiled

@@ -96,14 +96,15 @@ void Follower::path(const std::vector<double> &points, const std::vector<double>
 
 void Follower::engage(bool on, double wheel_angle) {
     engaged_ = on;
-    angle_ = command_.angle = wheel_angle;
-    if (on && has_path_) error_ = adaptrack_engage(tracker_.data(), wheel_angle, NAN);
+    if (std::isfinite(wheel_angle)) angle_ = command_.angle = wheel_angle; // else as they were
+    if (on && has_path_) error_ = adaptrack_engage(tracker_.data(), angle_, NAN);
 }
 
 // Why a path cannot be driven; empty when it can, and is written to `planned`.
 std::string Follower::why_not(Planned &planned, const std::vector<double> &points,
                               const std::vector<double> &speeds) const {
     const std::size_t count = points.size() / 2;
+    if (!speeds.empty() && speeds.size() != count) return "it needs a speed for each point, or none";
     for (const double speed : speeds)
         if (!(speed >= 0.0 && std::isfinite(speed)))
             return "its speeds must be finite and >= 0 m/s: nothing here drives backwards";
