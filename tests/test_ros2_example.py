@@ -454,15 +454,17 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
     if shutil.which("cmake") is None:
         pytest.skip("no cmake")
     includes = ";".join(each.removeprefix("-I") for each in cpp[0].includes(folder)[2:])
-    stand_in = "macro(ament_target_dependencies)\nendmacro()\nmacro(ament_package)\nendmacro()\n"
+    made = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
+    made += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
     for name in ("ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "nav_msgs", "std_msgs"):
-        (tmp_path / f"{name}Config.cmake").write_text(f"include_directories({includes})\n{stand_in}")
+        said = {"ament_cmake": "macro(ament_package)\nendmacro()", "rclcpp": made}.get(name, f"set({name}_TARGETS)")
+        (tmp_path / f"{name}Config.cmake").write_text(said + "\n")
     shutil.copytree(CPP, tmp_path / "package")
     shutil.copytree(
         folder, tmp_path / "package" / "controller", ignore=shutil.ignore_patterns("*.so", "*.o.d", "node*")
     )
     places = "-S", str(tmp_path / "package"), "-B", str(tmp_path / "build"), f"-DCMAKE_PREFIX_PATH={tmp_path}"
-    cpp[0].run("cmake", *places, *(f"-D{name}_DIR={tmp_path}" for name in ("ament_cmake", "rclcpp")))
+    cpp[0].run("cmake", *places)
     cpp[0].run("cmake", "--build", str(tmp_path / "build"))
     assert (tmp_path / "build" / "follower").exists()
 
@@ -530,7 +532,8 @@ def test_the_cpp_package_depends_on_what_its_node_includes():
     cmake = (CPP / "CMakeLists.txt").read_text()
     assert f"project({CPP.name} " in cmake
     assert root.findtext("name") == CPP.name
-    assert set(re.search(r"set\(MESSAGES (.+)\)", cmake)[1].split()) == {each.text for each in root.iter("depend")}
+    found = set(re.findall(r"find_package\((\w+) REQUIRED\)", cmake))
+    assert found == {each.text for each in (*root.iter("depend"), *root.iter("buildtool_depend"))}
 
 
 @pytest.mark.compiled
