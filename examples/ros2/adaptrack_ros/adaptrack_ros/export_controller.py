@@ -8,12 +8,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from adaptrack.export.c_library import Exported, export_c
+import adaptrack as at
 from adaptrack_ros.follower import Follower, Parameters
 
 
-def export(parameters: Parameters, folder: str | Path, targets: Sequence[str] = ()) -> Exported:
+def export(parameters: Parameters, folder: str | Path, targets: Sequence[str] = ()) -> Any:
     """Write it: of `vehicle`, `profile`, `command_delay`, `oldest_sample` and `furthest`; the node reads the others.
 
     targets: processors as `adaptrack.export_c` names them, this one without any.
@@ -26,7 +27,7 @@ def export(parameters: Parameters, folder: str | Path, targets: Sequence[str] = 
         When a file cannot be written.
     """
     follower = Follower(parameters)
-    return export_c(
+    return at.export_c(
         follower.controller(), folder, targets=targets, profile=follower.profile, furthest=parameters.furthest
     )
 
