@@ -37,12 +37,14 @@ length."""
 NUMBERS = (
     "length", "closed", "lap_turn", "most_curvature", "first_start", "first_piece", "count", "first_heading", "spacing",
 )  # fmt: skip
-_START, _PIECE, _COUNT, _HEADING, _SPACING = range(4, 9)
+FIRST_START, FIRST_PIECE, COUNT, FIRST_HEADING, HEADING_SPACING = range(4, 9)
 
 DEGREE = 11
 HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
 ACROSS = ALONG + DEGREE + 1
 TURNED = ACROSS + DEGREE + 1
+"""Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
+1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
 LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
 
 STRIDE = 1.0
@@ -356,7 +358,7 @@ def line_of(road, roads):
     if road < 0:
         return Centreline(roads.start[:0], roads.pieces[:0], roads.headings[:0])
     numbers = roads.numbers[road]
-    first, piece, count = whole(numbers[_START]), whole(numbers[_PIECE]), whole(numbers[_COUNT])
+    first, piece, count = whole(numbers[FIRST_START]), whole(numbers[FIRST_PIECE]), whole(numbers[COUNT])
     return Centreline(roads.start[first : first + count + 1], roads.pieces[piece : piece + count], numbers)
 
 
@@ -364,11 +366,11 @@ def line_of(road, roads):
 def heading_at(s, road, roads):
     """Heading (rad) at any arc length, a straight line between the entries of the table."""
     numbers = roads.numbers[road]
-    length, spacing = numbers[LENGTH], numbers[_SPACING]
+    length, spacing = numbers[LENGTH], numbers[HEADING_SPACING]
     laps = floor(s / length) if numbers[CLOSED] > 0.5 else 0.0
     place = min(max(s - laps * length, 0.0), length) / spacing
     cell = min(whole(place), whole(length / spacing + 0.5) - 1)
-    first = whole(numbers[_HEADING]) + cell
+    first = whole(numbers[FIRST_HEADING]) + cell
     last = first + 1
     near, far = roads.headings[first], roads.headings[last]
     return near + (place - cell) * (far - near) + laps * numbers[LAP_TURN]
