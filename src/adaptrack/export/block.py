@@ -146,7 +146,7 @@ def pack(
 
     name: of the kind of record, which the reader must expect; roles: by dotted names of arrays or of records of them
     (``mpc.ws``), the longest one that fits counts, `Role.KEPT` where none does; resets: array of rows -> field ->
-    value that it gets when constants are replaced; outside: arrays that the C program gives, so that they have no words
+    value that it gets when constants are replaced (of arrays that there are, like `starts`); outside: arrays that the C program gives, so that they have no words
     here.
 
     Raises
@@ -163,6 +163,7 @@ def pack(
     changes = [
         (home[rows] + _offset(laid.part(rows).values, each), _bits(value))
         for rows, fields in (resets or {}).items()
+        if rows in home
         for each, value in fields.items()
     ]
     begins = [

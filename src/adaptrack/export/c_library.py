@@ -19,6 +19,7 @@ from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.core import library, path, road
+from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.tracker.records import SAMPLE, TRACKED, LawTracking, Tracker, Tracking
 from adaptrack.export.block import Block
@@ -191,16 +192,23 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
 
 
 def _config(controller: Controller, block: Block) -> str:
+    suspects = "\n".join(
+        f"#define ADAPTRACK_SUSPECT_{name.upper()} (UINT64_C(1) << {bit})" for bit, name in enumerate(MISTAKES._fields)
+    )
     return f"""\
 /* adaptrack: what was exported. {_printable(repr(controller))} */
 #ifndef ADAPTRACK_CONFIG_H
 #define ADAPTRACK_CONFIG_H
+#include <stdint.h>
 
 #define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
 #define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
 #define ADAPTRACK_SIZE {64 + block.memory_size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {48 + block.state_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
+
+/* Bits of adaptrack_answer.suspect: what an input seems to be. */
+{suspects}
 
 #ifdef __cplusplus
 extern "C" {{
