@@ -7,6 +7,7 @@ import os
 import shutil
 import struct
 import subprocess
+import threading
 
 import numpy as np
 import pytest
@@ -404,6 +405,23 @@ def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
     assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
         exported.TOO_SMALL, exported.TOO_SMALL
     ]  # fmt: skip
+
+
+def test_two_threads_on_one_tracker_get_a_command_or_a_refusal(library_of, way):
+    tracker, found = begun(library_of("informed"), way), []
+
+    def call_often():
+        for k in range(1000):
+            error, answer = tracker.step([0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan])
+            found.append((error, math.isfinite(answer.command)))
+
+    threads = [threading.Thread(target=call_often) for _ in range(2)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert set(found) <= {(exported.OK, True), (exported.BUSY, False)}
+    assert tracker.untouched
 
 
 @pytest.mark.parametrize("flaw", ["few", "twice", "nan", "inf", "kink", "far"])
