@@ -7,6 +7,8 @@ import os
 import shutil
 import struct
 import subprocess
+import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from adaptrack.export.tracking import Twin
 from adaptrack.road import Comfort, plan_speed, road_through
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
+HERE = Path(__file__).parent
 CAR = at.load_vehicle("midsize-sedan")
 TARGET = own_target()
 ALONG = np.arange(0.0, 300.0, 5.0)
@@ -406,6 +409,23 @@ def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
     ]  # fmt: skip
 
 
+def test_two_threads_on_one_tracker_get_a_command_or_a_refusal(library_of, way):
+    tracker, found = begun(library_of("informed"), way), []
+
+    def call_often():
+        for k in range(1000):
+            error, answer = tracker.step([0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan])
+            found.append((error, math.isfinite(answer.command)))
+
+    threads = [threading.Thread(target=call_often) for _ in range(2)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert set(found) <= {(exported.OK, True), (exported.BUSY, False)}
+    assert tracker.untouched
+
+
 @pytest.mark.parametrize("flaw", ["few", "twice", "nan", "inf", "kink", "far"])
 def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
     made, points, where = library_of("informed"), POINTS.copy(), 7
@@ -573,3 +593,44 @@ def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
             f"lib/{TARGET}/adaptrack_kernels.o", "CMakeLists.txt", "README.md"} <= names  # fmt: skip
     assert "@" not in (tmp_path / "out" / "README.md").read_text()
     assert shutil.which("gcc") is not None
+
+
+# -- other processors -------------------------------------------------------------------------------------------------
+EMULATED = {
+    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
+    "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64"),
+}
+EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "2000"))
+"""Calls of each controller."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", EMULATED)
+def test_another_processor_answers_the_same_bits(target, way, folder):
+    compiler, emulator = map(exported.compiler, EMULATED[target])
+    try:
+        library.export_of(target)
+    except library.UNUSABLE:
+        pytest.skip(f"not compiled: {library.BUILD} --export {target}")
+    differ = {name: _differing_on(target, name, way, folder / f"{target}-{name}", compiler, emulator)
+              for name in CONTROLLERS}  # fmt: skip
+    assert differ == dict.fromkeys(CONTROLLERS, 0)
+
+
+def _differing_on(target, name, way, place, compiler, emulator):
+    controller, rng = CONTROLLERS[name](), np.random.default_rng(7)
+    export_c(controller, place, road=way[0], plan=way[1], targets=[target])
+    samples = np.array([[*sample, rng.uniform(0.3, 1.0), rng.choice([math.nan, 3.0])]
+                        for sample in calls(rng, EACH, way[0])])  # fmt: skip
+    head = [len(POINTS), way[1].s.size], POINTS, way[1].s, way[1].speed, samples
+    np.concatenate([np.ravel(each) for each in head]).astype(float).tofile(place / "samples")
+    sources = [HERE / "processors" / "replay.c", *(place / "src").glob("*.c"), *(place / "lib").rglob("*.o")]
+    subprocess.run([compiler, "-O1", f"-I{place}/include", f"-I{place}/src", *map(str, sources), "-o",
+                    str(place / "replay")], check=True)  # fmt: skip
+    home = ["-L", f"/usr/{compiler.removesuffix('-gcc')}"]
+    subprocess.run([emulator, *home, str(place / "replay"), str(place / "samples"), str(place / "answers")], check=True)
+    twin = Twin(controller, *way)
+    expected = np.array([twin.call(sample)[:5] for sample in samples])
+    found = np.fromfile(place / "answers").reshape(-1, 5)
+    same = (found.view(np.int64) == expected.view(np.int64)) | (np.isnan(found) & np.isnan(expected))
+    return int(np.sum(~same.all(axis=1)))

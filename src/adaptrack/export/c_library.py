@@ -105,9 +105,9 @@ def export_c(
     files = kernel_files(targets, objects)
     world = load_profile(profile)
     way = load_road(road) if isinstance(road, str) else road
-    body = DualTrack(controller.vehicle) if plant is None else plant
+    driven_car = DualTrack(controller.vehicle) if plant is None else plant
     speed = plan_speed(way, controller.vehicle) if plan is None else plan
-    driven = record_drive(controller, body, way, speed, world)
+    driven = record_drive(controller, driven_car, way, speed, world)
     name = next(iter(files))
     texts = _texts(controller, block, driven, name, tuple(files))
     target = Path(folder)

@@ -103,6 +103,7 @@ def _points(road: Road, seconds: float, fastest: float) -> tuple[Array, bool]:
 class _Driver(Controller):
     """A tracker as the controller of a simulated drive; what it is given and gives is kept."""
 
+    period: float
     sees_all_sensors = True
 
     def __init__(self, controller: Controller, path: Road, plan: SpeedPlan, seconds: float) -> None:

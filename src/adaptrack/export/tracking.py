@@ -86,10 +86,10 @@ def room_of(controller: MPC, room: Room | None = None) -> Room:
         When that is less than they ask for, or more than the controller was made for.
     """
     tuning = controller.tuning
-    asked = [(tuning.Np, tuning.Nc)]
+    needed = [(tuning.Np, tuning.Nc)]
     if isinstance(controller.scheduler, CompiledScheduler):
-        asked.append(controller.scheduler.largest)
-    least = max(each for each, _ in asked), max(each for _, each in asked)
+        needed.append(controller.scheduler.largest)
+    least = max(each for each, _ in needed), max(each for _, each in needed)
     most = controller.longest_horizon, controller.most_moves
     found = (min(least[0], most[0]), min(least[1], most[1])) if room is None else room
     if room is not None and not (least[0] <= room[0] <= most[0] and least[1] <= room[1] <= most[1]):
