@@ -1,0 +1,200 @@
+"""What a tracker is given, remembers and gives: records of numbers, and the arrays of a caller."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..controllers.mpc_step import Step
+from ..kernel import columns, record, rows, vector
+from ..models.contract import MEASURED
+from ..road import Roads
+from ..rollout import Law
+from ..schedule import Schedule
+from ..variables import VARIABLES
+
+STANDING = 0.1
+"""m/s: a slower car stands, and a faster one in reverse drives backwards."""
+LONGEST_GAP = 2.0
+"""s without a call, or a clock that jumps back by more: the tracker begins anew from the command held. A controller
+without a Kalman filter goes on for so long without a position, too."""
+LONGEST_CARRY = 0.3
+"""s, by which a sample is carried at most by its own motion."""
+LARGEST_JUMP, JUMPS = 10.0, 3
+"""m, between a position and where the car was expected, beside half of the way since: such a position is left out;
+when so many come one after the other, the car was moved, and the tracker begins anew."""
+FURTHEST, ABSURD = 1e8, 1e3
+"""m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large: what is
+counts as not measured."""
+ACROSS = 10.0
+"""m of distance that a foot may be nearer for a path at right angles to the car, when a path is looked for its start.
+"""
+SHARE_OF_LAST = 0.2
+"""Share of the last interval in the mean interval between calls."""
+SPEEDS = 80
+"""Control instants for which speeds are expected."""
+
+OK, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, END, SLIDING, REPEATED, NO_TIME = range(10)
+"""What a call was: a new position was used; none, or none to be believed; no position yet or for too long, or no
+solution; the car stands; drives backwards; is far from the path or has no foot on it; is beyond its end; slides; a call
+at the time of the one before, or an earlier one; one without a time. The last two are left out."""
+UNKNOWN = -1.0
+"""The state of a belief where nothing is learned."""
+
+SETTINGS = record(
+    "Settings",
+    (
+        "period",  # s, control period
+        "angle_min", "angle_max",  # rad, limits of the controller's command; infinite: none
+        "move",  # rad, by which a command goes back at a call while the car turns against its steering
+        "furthest",  # m, from the path, beyond which the car is off it
+        "late",  # periods that the controller's filter goes through anew; 0: it takes nothing late
+        "filtered",  # 1: the controller has a Kalman filter for what is missing, 0: it is given an estimate
+        "drift_arm",  # m, l_r: v_y of a steady turn is (l_r - load v^2/stiffness) times the yaw rate
+        "drift_load",  # kg m, m l_f
+        "drift_stiffness",  # N m/rad, 2 C_r L
+        "nominal_friction",  # of a road whose friction is not known, for schedules
+    ),
+    whole=("late", "filtered"),
+)  # fmt: skip
+"""Of a tracker and its controller, fixed over a drive."""
+
+MEMORY = record(
+    "Memory",
+    (
+        "command",  # rad, in force
+        "command_before",  # rad, before the call at hand
+        "started",  # 1 once there was a position
+        "last",  # s, time of the last call
+        "between",  # s, mean interval between calls
+        "began",  # s, time of the first control instant
+        "instant",  # the present control instant
+        "due",  # instants still to be gone through in this call
+        "first",  # 1: of these the first is the first of all
+        "waiting",  # 1: for the controller's command
+        "open",  # 1: the call is not over
+        "status",  # of the last call that was not left out
+        "left_out",  # REPEATED or NO_TIME of the call at hand, else 0
+        "answered",  # 1: the call at hand gave a new command or status
+        "fresh",  # 1: a new position is in the measurement
+        "speed",  # m/s, last known, NaN: none yet
+        "yaw_rate",  # rad/s
+        "x", "y", "yaw",  # m, m, rad, of the car at the present instant
+        "newest",  # s, time of the newest position that was used
+        "jumps",  # positions in a row that have jumped
+        "placed_x", "placed_y", "placed_yaw", "placed_t",  # m, m, rad, s, of the last position that was given
+        "station", "heading",  # m, rad, of the car's foot on the path
+        "turned",  # rad, heading of the path at the foot less that of a period ago
+        "offset", "heading_error",  # m, rad, of the car against the path; NaN: there is no foot
+        "near",  # m, about which a foot is looked for at the beginning; NaN: on the whole path
+        "given_t", "given_x", "given_y", "given_yaw",  # s, m, m, rad, of the sample at hand as it is used
+        "given_yaw_rate", "given_vy", "given_lateral_acceleration", "given_wheel_angle",  # rad/s, m/s, m/s^2, rad
+        "belief_state", "belief_at_bound",  # of the controller's last step, see `estimators.learning`; UNKNOWN: none
+    ),
+    whole=(
+        "started", "instant", "due", "first", "waiting", "open", "status", "left_out", "answered", "fresh", "jumps",
+    ),
+)  # fmt: skip
+"""What a tracker remembers: all of it."""
+
+SAMPLE = columns(
+    "t",  # s, when the sample was taken
+    "now",  # s, of the call, on the same clock; NaN: t
+    "x", "y",  # m, of the centre of mass
+    "yaw",  # rad, wrapped or not
+    "speed",  # m/s, negative backwards
+    "yaw_rate",  # rad/s
+    "vy",  # m/s, lateral velocity
+    "lateral_acceleration",  # m/s^2, without the pull of a bank
+    "wheel_angle",  # rad, of the road wheels: the first command is near it
+    "friction",  # -, of the road, for a schedule; NaN: not known
+    "wind",  # m/s, of the air to the left, for a schedule; NaN: not known
+)  # fmt: skip
+"""A call. What is not known is NaN; what no car can have is made NaN here."""
+
+AHEAD = columns(
+    "speed",  # m/s, of the car, never negative
+    "station",  # m, of its foot on the path
+    "count",  # of the expected speeds that count: the last one holds
+)  # fmt: skip
+"""What a controller is given at an instant, beside what is measured."""
+
+ANSWER = columns(
+    "command",  # rad; not finite: the last one is held
+    "held",  # 1: it is no new one
+    "belief_state", "belief_at_bound",  # see `estimators.learning`; UNKNOWN where nothing is learned
+)  # fmt: skip
+"""What a controller answers."""
+
+REQUEST = columns(
+    "restart",  # 1: begin anew; what was learned of the car stays
+    "apply",  # 1: the command in force (`TRACKED.command`) is not the controller's own
+    "change",  # 1: another path lies under the car, by
+    "turned", "shifted",  # rad, m: so much have heading and offset grown
+    "late",  # s, age of a sample that is later than the controller's filter takes; NaN: none
+)  # fmt: skip
+"""What a tracker asks of its controller before its next step, in this order; who has done it sets it to zero."""
+
+TRACKED = columns(
+    "command",  # rad, angle of the road wheels to ask for, positive to the left
+    "status",  # OK, ...
+    "offset",  # m, of the car from the path, positive to the left; NaN where there is no position to go by
+    "heading_error",  # rad, the car's heading less the path's; likewise
+    "station",  # m, arc length of the car's foot on the path, over all laps; likewise
+    "belief_state", "belief_at_bound",  # of what the controller learns, see `estimators.learning`; UNKNOWN: nothing
+    "suspect",  # sum of 1, 2, 4, ...: inputs that contradict each other
+)  # fmt: skip
+"""What a call gives."""
+
+Plan = record("Plan", (("s", vector), ("speed", vector)))
+"""A planned speed (m/s) at arc lengths (m) from 0 to the path's; between them its square is straight. Empty: none."""
+
+Tracker = record(
+    "Tracker",
+    (
+        ("settings", rows(SETTINGS)),  # (1,)
+        ("memory", rows(MEMORY)),  # (1,)
+        ("sample", vector),  # (SAMPLE,)
+        ("path", Roads),  # of one road; without pieces there is none yet
+        ("plan", Plan),
+        ("measured", vector),  # (models.contract.MEASURED,)
+        ("speeds", vector),  # (SPEEDS,) m/s, expected at the instants from now on
+        ("ahead", vector),  # (AHEAD,)
+        ("answer", vector),  # (ANSWER,)
+        ("request", vector),  # (REQUEST,)
+        ("tracked", vector),  # (TRACKED,)
+    ),
+)
+"""A tracker around any controller."""
+
+Scheduling = record(
+    "Scheduling",
+    (
+        ("schedule", Schedule),  # without inputs and entries: none
+        ("variables", vector),  # (variables.VARIABLES,)
+        ("first", vector),  # (entries,) the tuning before the schedule speaks
+    ),
+)
+"""A schedule of a tracker's controller."""
+
+Tracking = record("Tracking", (("tracker", Tracker), ("step", Step), ("scheduling", Scheduling)))
+"""A tracker with an MPC, on curved roads."""
+
+LawTracking = record("LawTracking", (("tracker", Tracker), ("law", Law), ("tuning", vector), ("scheduling", Scheduling)))
+"""A tracker with a control law in its only slot; tuning (entries,): as used."""
+
+
+def tracker(settings: Any, path: Any, plan: Any = None) -> Any:
+    """A tracker before its first call: SETTINGS (1,), a road alone as `Roads`, a `Plan`; `engage` comes next."""
+    none = np.zeros(0)
+    sizes = (len(MEASURED), SPEEDS, len(AHEAD), len(ANSWER), len(REQUEST), len(TRACKED))
+    return Tracker(
+        settings, MEMORY.new(near=np.nan), np.full(len(SAMPLE), np.nan), path,
+        Plan(none, none) if plan is None else plan, *(np.zeros(size) for size in sizes),
+    )  # fmt: skip
+
+
+def scheduling(schedule: Any, tuning: Any) -> Any:
+    """A `Schedule`, and the tuning (entries,) before it speaks."""
+    return Scheduling(schedule, np.zeros(len(VARIABLES)), np.array(tuning, float))
