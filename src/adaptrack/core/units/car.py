@@ -18,19 +18,24 @@ from ..plants.contract import ENVIRONMENT, MOTION, OBSERVED, STATE, observe, sta
 from ..road import line_of, point_at
 from .contract import FAILED, NO_DELAY, OK, outside
 
+CONSTANTS = (
+    "time",  # s, of the present instant
+    "period",  # s, of a step
+    "speed_preview",  # s, how far ahead speed_ahead is planned
+)
 PARAMETERS = (
     "seed",  # of all that the sensors draw: the same number gives the same drive
     "parallel_exchange",  # true: the master exchanges in parallel, which stands for a period of the car's own delay
-    "start_x", "start_y",  # m, m: in the world
-    "start_yaw",  # rad, from the world's x axis, positive to the left
-    "start_speed",  # m/s, in equilibrium
-    "start_station",  # m, along the road, near the car
+    "start_x", "start_y",  # m, m: position in the world at the start
+    "start_yaw",  # rad, at the start, from the world's x axis, positive to the left
+    "start_speed",  # m/s, along the car's axis at the start, in equilibrium
+    "start_station",  # m, along the road, about which the car's foot is looked for at the start
 )  # fmt: skip
 INPUTS = (
     "command",  # rad, angle of the road wheels that is asked for, positive to the left
     "speed",  # m/s, planned for this instant
-    "speed_ahead",  # m/s, planned for the time of `speed_preview` from now
-    "on_plan",  # true: a car that is early or late against `plan_station` drives a little slower or faster
+    "speed_ahead",  # m/s, planned for the time of speed_preview from now
+    "on_plan",  # true: a car that is early or late against plan_station drives a little slower or faster
     "plan_station",  # m, along the road, where the plan is at this instant
     "friction_front_left", "friction_front_right",  # -, -: coefficient under the wheel
     "friction_rear_left", "friction_rear_right",  # -, -: coefficient under the wheel
@@ -38,30 +43,30 @@ INPUTS = (
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
 )  # fmt: skip
 OUTPUTS = (
-    "measured_x", "measured_y",  # m, m: position in the world as old as `measured_pose_age`; NaN where it is missing
-    "measured_yaw",  # rad, likewise, positive to the left
-    "measured_offset",  # m, from the road, likewise, positive to the left
-    "measured_heading_error",  # rad, the car's heading less the road's, likewise
-    "measured_pose_age",  # s, how old position and yaw are
-    "measured_speed",  # m/s, along the car's axis
-    "measured_vy",  # m/s, lateral velocity, positive to the left; as old as `measured_motion_age`; NaN: not measured
-    "measured_yaw_rate",  # rad/s, likewise, positive to the left
-    "measured_wheel_angle",  # rad, of the road wheels, likewise
-    "measured_lateral_acceleration",  # m/s^2, of an accelerometer, likewise
-    "measured_motion_age",  # s, how old these four are
-    "x", "y",  # m, m: true position of the centre of gravity in the world
-    "yaw",  # rad, true
-    "vx", "vy",  # m/s, m/s: true velocity along and across the car's axis
-    "yaw_rate",  # rad/s, true
-    "wheel_angle",  # rad, true angle of the road wheels
-    "lateral_acceleration",  # m/s^2, true
-    "station",  # m, of the car's foot on the road, over all laps
-    "offset",  # m, true, from the road, positive to the left
-    "heading_error",  # rad, true, the car's heading less the road's
-    "ended",  # 0, or why the run has failed: 2 the car has spun
+    "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
+    "measured_yaw",  # rad, measured yaw angle, measured_pose_age ago, positive to the left; NaN: missing
+    "measured_offset",  # m, measured distance from the road, measured_pose_age ago, positive to the left; NaN: missing
+    "measured_heading_error",  # rad, measured_yaw less the road's heading; NaN: missing
+    "measured_pose_age",  # s, how old measured position and yaw are
+    "measured_speed",  # m/s, measured speed along the car's axis, now
+    "measured_vy",  # m/s, measured lateral velocity, measured_motion_age ago, positive to the left; NaN: missing
+    "measured_yaw_rate",  # rad/s, measured yaw rate, measured_motion_age ago, positive to the left; NaN: missing
+    "measured_wheel_angle",  # rad, measured angle of the road wheels, measured_motion_age ago; NaN: missing
+    "measured_lateral_acceleration",  # m/s^2, of an accelerometer, measured_motion_age ago; NaN: missing
+    "measured_motion_age",  # s, how old vy, yaw rate, wheel angle and lateral acceleration are as measured
+    "x", "y",  # m, m: true position of the centre of mass in the world
+    "yaw",  # rad, true yaw angle, from the world's x axis, positive to the left
+    "vx", "vy",  # m/s, m/s: true velocity along the car's axes, x forward, y to the left
+    "yaw_rate",  # rad/s, true yaw rate, positive to the left
+    "wheel_angle",  # rad, true angle of the road wheels, positive to the left
+    "lateral_acceleration",  # m/s^2, true lateral acceleration, positive to the left
+    "station",  # m, along the road, of the car's foot on it, over all laps; without a road x
+    "offset",  # m, true distance from the road, positive to the left; without a road y
+    "heading_error",  # rad, true yaw angle less the road's heading
+    "ended",  # 0, or 2 once the car has spun
 )  # fmt: skip
-VALUE = columns("time", "period", "speed_preview", *PARAMETERS, *INPUTS, *OUTPUTS)
-"""The values of a car. speed_preview: s, how far ahead of now `speed_ahead` is planned."""
+VALUE = columns(*CONSTANTS, *PARAMETERS, *INPUTS, *OUTPUTS)
+"""The values of a car."""
 _PARAMETER, _INPUT = VALUE.seed, VALUE.command
 _OUTPUT = _INPUT + len(INPUTS)
 
