@@ -6,7 +6,7 @@ INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
 KERNELS := src/adaptrack/core/built/manifest.json
-.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted coverage lint format docs wheel try-wheel bench lock clean
+.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted coverage lint format docs wheel targets try-wheel bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
@@ -70,6 +70,9 @@ docs: install ## build the documentation: docs/_build/html/index.html
 wheel: install ## build a wheel with kernels for every processor of this kind: dist/adaptrack-*.whl
 	rm -rf dist
 	$(BIN)/python -m hatchling build --target wheel
+
+targets: install ## build what other programs take in, for every processor: dist/adaptrack-targets-*.tar.gz
+	$(BIN)/python -m adaptrack.core.build --export all --archive dist
 
 TRIED := build/try
 try-wheel: ## drive with the wheel in dist/ in an environment of its own, which PYTHON chooses; no compiler, no checkout

@@ -32,6 +32,9 @@ class Kernels(BuildHookInterface):
 
         own = processor().split("-v")[0]
         files = [each["file"] for name, each in manifest()["libraries"].items() if name.split("-v")[0] == own]
+        from adaptrack.core.build.exports import shipped
+
+        files += [manifest()["exports"][name]["file"] for name in shipped(list(manifest()["libraries"]), True)]
         files += ["manifest.json", "adaptrack.h"]
         build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files]
         build_data["pure_python"] = False

@@ -74,7 +74,9 @@ class Memory:
     def save(self):
         size = self.library.adaptrack_block_state_size(self.place)
         state = ctypes.create_string_buffer(size)
-        assert self.library.adaptrack_block_save(ctypes.byref(self.reader), self.place, state, ctypes.c_size_t(size)) == OK
+        assert (
+            self.library.adaptrack_block_save(ctypes.byref(self.reader), self.place, state, ctypes.c_size_t(size)) == OK
+        )
         return state.raw
 
     def restore(self, state):

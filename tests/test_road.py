@@ -9,10 +9,12 @@ from scipy.spatial import cKDTree
 
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.core import road as kernel
+from adaptrack.core.path import COLUMNS
+from adaptrack.core.road import DEGREE
 from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
 from adaptrack.road.projection import feet_near, nearest_feet
-from adaptrack.road.table import COLUMNS, DEGREE, joined, placed, tabulate
 from adaptrack.road.table import beside as table_beside
+from adaptrack.road.table import joined, placed, tabulate
 from references.road import beside, coarse_samples, end_of, feet_by_search, figure_of_eight, nearest_by_search
 
 pytestmark = pytest.mark.kernels

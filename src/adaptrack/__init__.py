@@ -210,6 +210,7 @@ _PUBLIC = {
     "learning.adaptation.config": ("load_adaptation",),
     "studies.adapt": ("adapt",),
     "studies.shadow": ("Shadow", "shadow"),
+    "export.c_library": ("export_c",),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
@@ -319,6 +320,7 @@ if TYPE_CHECKING:
     from adaptrack.drive.simulate import rollout, simulate
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.drive.world import Driver
+    from adaptrack.export.c_library import export_c
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.training import train
@@ -443,6 +445,7 @@ __all__ = [
     "commonroad_plant",
     "commonroad_vehicle",
     "compute_metrics",
+    "export_c",
     "find_failure",
     "fit_road",
     "generate_road",

@@ -15,7 +15,7 @@ import numpy as np
 from adaptrack.control.controllers import MPC
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.qp import QPStatus
-from adaptrack.control.tracker import STANDING
+from adaptrack.core.tracker.records import STANDING
 from tools.fuzz import inputs
 from tools.fuzz.inputs import LIES, Array, Case, Rng
 from tools.fuzz.search import Failed, Found

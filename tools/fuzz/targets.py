@@ -21,7 +21,8 @@ from adaptrack.control.controllers.mpc import SPEED_KEPT
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.qp import QPStatus, get_qp_solver, kkt_residuals
 from adaptrack.control.scheduling import SchedulingVariables
-from adaptrack.control.tracker import LONGEST_GAP, STANDING, Status, Tracked, Tracker
+from adaptrack.control.tracker import Status, Tracked, Tracker
+from adaptrack.core.tracker.records import LONGEST_GAP, STANDING
 from adaptrack.road import Arc, Line, Road, SpeedPlan, generate_road, plan_speed
 from tools.fuzz import inputs
 from tools.fuzz.inputs import Array, Case, Rng
@@ -340,7 +341,8 @@ class TrackerTarget:
             if wrong:
                 return wrong
         at = call["t"] if call["now"] is None else call["now"]
-        before, started, last = tracker.controller.angle, tracker._started, tracker._last
+        memory = tracker._kernel.memory[0]
+        before, started, last = tracker.controller.angle, bool(memory.started), float(memory.last)
         self.good_for = self.good_for + 1 if given["good"] else 0
         if not math.isfinite(at):
             return _refused(lambda: tracker.step(**call), False)
@@ -358,7 +360,7 @@ class TrackerTarget:
             wrong = self.steering.wrong(before, told.command)
             if wrong:
                 return wrong
-        if told.status is Status.REVERSE and not self.tracker._speed < -STANDING:
+        if told.status is Status.REVERSE and not self.tracker._kernel.memory[0].speed < -STANDING:
             return "reverse, and the car drives forwards"
         if told.status in (Status.OK, Status.ESTIMATED, Status.END) and not all(map(math.isfinite, told[2:5])):
             return f"status {told.status.value} with {told}"  # far off the path there is no foot

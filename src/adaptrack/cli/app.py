@@ -19,6 +19,7 @@ from adaptrack.cli import (
     drive,
     evaluate,
     evaluate_schedules,
+    export,
     identify,
     lists,
     manoeuvre,
@@ -85,4 +86,5 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(dataset.app, name="dataset")
+app.add_typer(export.app, name="export")
 app.add_typer(road.app, name="road")

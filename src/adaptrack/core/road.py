@@ -37,12 +37,14 @@ length."""
 NUMBERS = (
     "length", "closed", "lap_turn", "most_curvature", "first_start", "first_piece", "count", "first_heading", "spacing",
 )  # fmt: skip
-_START, _PIECE, _COUNT, _HEADING, _SPACING = range(4, 9)
+FIRST_START, FIRST_PIECE, COUNT, FIRST_HEADING, HEADING_SPACING = range(4, 9)
 
 DEGREE = 11
 HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
 ACROSS = ALONG + DEGREE + 1
 TURNED = ACROSS + DEGREE + 1
+"""Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
+1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
 LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
 
 STRIDE = 1.0
@@ -232,35 +234,67 @@ def foot_near(x, y, near, road):
     return other, aside, direction, bend
 
 
-@exported(float64(float64, float64, float64, float64, Centreline), name="nearest_foot")
-def nearest(x, y, yaw, across, road):
+@inlined
+def _rows_about(near, road):
+    """The first piece within `REACH` of an arc length, and how many there are; all of them where it is NaN."""
+    start, length, count = road.start, road.numbers[LENGTH], len(road.pieces)
+    closed = road.numbers[CLOSED] > 0.5
+    if not abs(near) < math.inf or (closed and length <= 2.0 * REACH):
+        return 0, count
+    low, high = near - REACH, near + REACH
+    if closed:
+        low, high = low - floor(low / length) * length, high - floor(high / length) * length
+    first = piece_below(min(max(low, 0.0), length), start)
+    last = piece_below(min(max(high, 0.0), length), start)
+    if last < first or (last == first and high < low):  # around the seam
+        last += count
+    return first, min(last - first + 1, count)
+
+
+@inlined
+def _is_far(s, half, near, road):
+    """Whether all of [s - half, s + half] is further than `REACH` from an arc length; never where that is NaN."""
+    apart = s - near
+    if road.numbers[CLOSED] > 0.5:
+        apart -= floor(apart / road.numbers[LENGTH] + 0.5) * road.numbers[LENGTH]
+    return abs(apart) > REACH + half
+
+
+@exported(float64(float64, float64, float64, float64, float64, Centreline), name="nearest_foot")
+def nearest(x, y, yaw, across, near, road):
     """The arc length of the foot on the whole road of least cost, its distance + across (1 - cos(yaw - heading)).
 
-    across: m, by which a foot may be nearer where the road leads another way; 0: the nearest foot. A part of the road
-    of a length 2 h is no nearer than its middle less h: parts that may hold the foot are halved down to a stride.
+    across: m, by which a foot may be nearer where the road leads another way; 0: the nearest foot. near: m, only feet
+    within `REACH` of it count, and it is the answer where there is none; NaN: all. A part of the road of a length 2 h
+    is no nearer than its middle less h: parts that may hold the foot are halved down to a stride.
     """
     start, pieces, length = road.start, road.pieces, road.numbers[LENGTH]
     least, found = math.inf, 0.0
-    for row in range(len(pieces)):
+    first, count = _rows_about(near, road)
+    for j in range(first, first + count):
+        row = j if j < len(pieces) else j - len(pieces)
         distance = hypot(pieces[row, X] - x, pieces[row, Y] - y)
         if distance < least:
             least, found = distance, start[row] + pieces[row, HALF]
     most, best = least + 2.0 * across + CLOSE + ROUNDING * (abs(x) + abs(y) + least), math.inf
+    if abs(near) < math.inf:  # the nearest part may be too far along the road
+        most = math.inf
     if road.numbers[CLOSED] < 0.5:
         for end, side in ((0.0, 1.0), (length, -1.0)):
             px, py, heading, _ = point_at(end, road)
             ahead = (px - x) * cos(heading) + (py - y) * sin(heading)
             cost = hypot(px - x, py - y) + across * (1.0 - cos(yaw - heading))
-            if side * ahead > 0.0 and cost < best:
+            if side * ahead > 0.0 and cost < best and not _is_far(end, 0.0, near, road):
                 found, best = end - ahead, cost
-    for row in range(len(pieces)):
+    for j in range(first, first + count):
+        row = j if j < len(pieces) else j - len(pieces)
         half, k, level = pieces[row, HALF], 0, 0
         if hypot(pieces[row, X] - x, pieces[row, Y] - y) - half > min(most, best):
             continue
         while True:
             s = start[row] + (2 * k + 1) * half
             px, py, _, _ = point_at(s, road)
-            if hypot(px - x, py - y) - half <= min(most, best):
+            if hypot(px - x, py - y) - half <= min(most, best) and not _is_far(s, half, near, road):
                 if 2.0 * half > STRIDE:
                     half, k, level = 0.5 * half, 2 * k, level + 1
                     continue
@@ -269,13 +303,15 @@ def nearest(x, y, yaw, across, road):
                 if grows:
                     foot, offset, heading, _ = downhill(x, y, 0.5 * (low + high), low, high, road)
                     cost = abs(offset) + across * (1.0 - cos(yaw - heading))
-                    if cost < best:
+                    if cost < best and not _is_far(foot, 0.0, near, road):
                         found, best = foot, cost
             k += 1
             while level > 0 and k % 2 == 0:
                 half, k, level = 2.0 * half, k // 2, level - 1
             if level == 0:
                 break
+    if best == math.inf and abs(near) < math.inf:
+        return near
     if road.numbers[CLOSED] < 0.5:
         return found
     found -= floor(found / length) * length
@@ -291,7 +327,7 @@ def project_all(road, points, feet):
     for i in range(len(points)):
         x, y, near = points[i, 0], points[i, 1], points[i, 2]
         if math.isnan(near):
-            near = nearest(x, y, 0.0, 0.0, road)
+            near = nearest(x, y, 0.0, 0.0, math.nan, road)
         feet[i, 0], feet[i, 1], feet[i, 2], feet[i, 3] = foot_near(x, y, near, road)
 
 
@@ -324,7 +360,7 @@ def line_of(road, roads):
     if road < 0:
         return Centreline(roads.start[:0], roads.pieces[:0], roads.headings[:0])
     numbers = roads.numbers[road]
-    first, piece, count = whole(numbers[_START]), whole(numbers[_PIECE]), whole(numbers[_COUNT])
+    first, piece, count = whole(numbers[FIRST_START]), whole(numbers[FIRST_PIECE]), whole(numbers[COUNT])
     return Centreline(roads.start[first : first + count + 1], roads.pieces[piece : piece + count], numbers)
 
 
@@ -332,11 +368,11 @@ def line_of(road, roads):
 def heading_at(s, road, roads):
     """Heading (rad) at any arc length, a straight line between the entries of the table."""
     numbers = roads.numbers[road]
-    length, spacing = numbers[LENGTH], numbers[_SPACING]
+    length, spacing = numbers[LENGTH], numbers[HEADING_SPACING]
     laps = floor(s / length) if numbers[CLOSED] > 0.5 else 0.0
     place = min(max(s - laps * length, 0.0), length) / spacing
     cell = min(whole(place), whole(length / spacing + 0.5) - 1)
-    first = whole(numbers[_HEADING]) + cell
+    first = whole(numbers[FIRST_HEADING]) + cell
     last = first + 1
     near, far = roads.headings[first], roads.headings[last]
     return near + (place - cell) * (far - near) + laps * numbers[LAP_TURN]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.tracker import ACROSS
 from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.tracker.records import ACROSS
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.identification.log import LEAST_GAP, Log, log_of
 from adaptrack.identification.reading import Columns, Reading, read_columns

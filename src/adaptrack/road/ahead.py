@@ -13,11 +13,9 @@ import numpy as np
 from adaptrack.base.checked import real, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.core import road as kernel
+from adaptrack.core.path import cells_of
 from adaptrack.road.road import Projection, Road
 from adaptrack.road.segments import Array
-
-HEADING_SPACING = 0.5
-"""m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
 
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:
@@ -35,7 +33,7 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
     parts: tuple[list[Array], list[Array], list[Array]] = [], [], []
     places = np.zeros(3)
     for k, road in enumerate(kept):
-        line, cells = road.packed(), max(1, math.ceil(road.length / HEADING_SPACING))
+        line, cells = road.packed(), cells_of(road.length)
         own = line.start, line.pieces, np.empty(cells + 1)
         kernel.headings_along(line, own[2])
         numbers[k] = (*line.numbers, places[0], places[1], len(own[1]), places[2], road.length / cells)
@@ -68,7 +66,7 @@ def foot_of_car(road: Road, x: float, y: float, yaw: float, across: float) -> fl
 
     across: m, by which a foot may be nearer where the road leads at right angles to the car.
     """
-    return float(kernel.nearest(x, y, yaw, across, road.packed()))
+    return float(kernel.nearest(x, y, yaw, across, math.nan, road.packed()))
 
 
 @dataclass(frozen=True, eq=False)

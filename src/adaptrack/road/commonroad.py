@@ -18,7 +18,8 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.road.fit import FEWEST, fit_road
+from adaptrack.core.path import FEWEST
+from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 

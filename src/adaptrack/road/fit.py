@@ -23,12 +23,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import path
+from adaptrack.core.path import FEWEST, WIDEST
+from adaptrack.core.road import X, Y
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road
 from adaptrack.road.segments import FARTHEST, Array, Cubic
 from adaptrack.road.smoothing import Curve, Smoother
-from adaptrack.road.table import Pieces, X, Y, joined, tabulate
+from adaptrack.road.table import Pieces, joined, tabulate
 
 _log = logging.getLogger("adaptrack")
 
@@ -36,14 +39,10 @@ MAX_DEVIATION = 0.5
 """m, allowed at least unless another is given."""
 NOISES = 6.0
 """Standard deviations of the noise that are allowed, unless a distance is given."""
-FEWEST = 4
-"""Points."""
-WIDEST = 1e4
-"""m, the largest distance of two points in a row."""
 SPARSE = 50.0
 """m, the usual distance of two points in a row from which on a note asks whether they are in metres."""
-SHORTEST, SHORTEST_PATH = 1.0, 0.01
-"""m, the shortest road that is fitted, and that points without noise may make."""
+SHORTEST = 1.0
+"""m, the shortest road that is fitted."""
 FITS = 3
 """How often the points find their places along the curve anew."""
 SHORTEST_KNOTS = 0.5
@@ -135,7 +134,8 @@ def fit_road(
 def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points", **along: Any) -> Road:
     """A road through points without noise, such as a planner publishes, many times as fast as `fit_road`.
 
-    A cubic spline over the length of their polygon: continuous curvature, exact at the points, no smoothing.
+    A cubic spline over the length of their polygon: continuous curvature, exact at the points, no smoothing. It is made
+    by `core.path`, as in exported controllers: the same to the bit.
 
     Parameters
     ----------
@@ -149,15 +149,28 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     InvalidInput
         When points are too few, not finite, alike in a row, or fold back on themselves.
     """
-    points = _checked("road_through", points, SHORTEST_PATH)
-    ring = np.concatenate([points, points[:1]]) if closed else points
-    steps = np.hypot(*np.diff(ring, axis=0).T)
-    if not steps.min() > 0.0:
-        raise InvalidInput(f"road_through: point {int(steps.argmin())} comes twice; leave one out.")
-    places = np.concatenate([[0.0], np.cumsum(steps)])
-    spline = scipy.interpolate.CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
-    powers = spline.c[::-1].transpose(1, 2, 0) * steps[:, np.newaxis, np.newaxis] ** np.arange(4)
-    return replace(_road(powers, closed), name=name, **alongs(along))
+    points = _checked("road_through", points, path.SHORTEST)
+    size = path.path_words(points, closed)
+    while True:
+        memory = np.empty(size)
+        status, found = path.path_through(points, closed, memory)
+        if status != path.TOO_SMALL:
+            break
+        size *= 2
+    if status != path.OK:
+        raise InvalidInput(f"road_through: {_FLAWS[status].format(found, WIDEST)}")
+    line, _ = path.line_in(memory)
+    table = Pieces(line.start.copy(), line.pieces.copy())
+    return Road(name=name, table=table, closed=closed, **alongs(along))
+
+
+_FLAWS = {
+    path.TWICE: "point {} comes twice; leave one out.",
+    path.TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
+    path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
+    path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",
+}
+"""What there is to say of what `_checked` lets pass."""
 
 
 def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) -> Road:

@@ -16,9 +16,11 @@ from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
+from adaptrack.core.path import line_numbers
+from adaptrack.core.road import X, Y
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
-from adaptrack.road.table import Pieces, X, Y, sequence, tabulate
+from adaptrack.road.table import Pieces, sequence, tabulate
 from adaptrack.road.toml import write_road
 
 GAP, KINK = 0.01, 0.01
@@ -294,10 +296,10 @@ class Road:
 
     @cached_property
     def _packed(self) -> Any:
-        numbers = np.array([self.length, float(self.closed), self.turn, self.table.most_curvature])
-        return kernel.Centreline(
-            np.ascontiguousarray(self.table.start), np.ascontiguousarray(self.table.pieces), numbers
-        )
+        start, pieces = (np.ascontiguousarray(each) for each in self.table)
+        numbers = np.empty(4)
+        line_numbers(start, pieces, self.closed, numbers)
+        return kernel.Centreline(start, pieces, numbers)
 
     # ---- variants
 

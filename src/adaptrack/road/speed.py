@@ -32,6 +32,7 @@ from adaptrack.base.files import Record
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.core.speed_plan import planned_speeds
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable import HoldableSpeed, highest
 from adaptrack.road.road import Road
@@ -148,9 +149,10 @@ class SpeedPlan:
     def at(self, s: ArrayLike) -> Array:
         """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
         place = reals("SpeedPlan.at: s", s)
-        if self.closed:
-            place = place - np.floor(place / self.s[-1]) * self.s[-1]
-        return np.sqrt(np.interp(place, self.s, self.speed**2))
+        found = place.flatten()
+        s, speed = np.ascontiguousarray(self.s), np.ascontiguousarray(self.speed)
+        planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, found)
+        return np.asarray(found.reshape(place.shape)[()])
 
     def motion(self, time: ArrayLike) -> tuple[Array, Array]:
         """Station (m) and speed (m/s) at times (s) from the start: lap after lap, or at the end of an open road."""

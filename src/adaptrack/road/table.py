@@ -18,17 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
+from adaptrack.core.path import COLUMNS, CURVATURE_FIT, FIT, ROUNDING, TURN
+from adaptrack.core.road import ACROSS, ALONG, COS, DEGREE, HALF, HEADING, SIN, TURNED, X, Y
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
-DEGREE = 11
-"""Of the polynomials: with a turn of 1 rad the remainder is below 1e-16 of the length."""
-TURN = 1.0
-"""rad, the largest turn of a piece."""
-FIT, CURVATURE_FIT = 1e-11, 1e-9
-"""Largest errors of a piece: of its position, as a share of its length (or of 1 m), and of its curvature, as a share of
-it (or of 0.1/m)."""
-ROUNDING = 1e-12
-"""What rounding may add to the heading (rad), and so to the curvature of short pieces."""
 TOGETHER = 1024
 """Cubics that are fitted at once: some megabytes."""
 HALVINGS, MOST = 30, 50
@@ -38,12 +31,6 @@ point without a direction."""
 SHORTEST = 1e-4
 """m, a piece beside another that is shorter goes with its neighbour: editors leave elements of micrometres."""
 
-HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
-"""Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
-1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
-ACROSS = ALONG + DEGREE + 1
-TURNED = ACROSS + DEGREE + 1
-COLUMNS = TURNED + DEGREE + 1
 
 _U = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))[::-1]
 _TO_COEFFICIENTS = np.linalg.inv(np.vander(_U, increasing=True))

@@ -30,22 +30,12 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.files import Record, write_toml
+from adaptrack.core.path import COLUMNS
+from adaptrack.core.road import ACROSS, COS, DEGREE, HALF, HEADING, SIN, TURNED, X, Y
+from adaptrack.core.road import ALONG as ALONG_PIECE
 from adaptrack.road.along import Along
 from adaptrack.road.segments import FARTHEST, LONGEST, SHORTEST, Segment
-from adaptrack.road.table import (
-    ACROSS,
-    COLUMNS,
-    COS,
-    DEGREE,
-    HALF,
-    HEADING,
-    SIN,
-    TURNED,
-    Pieces,
-    X,
-    Y,
-)
-from adaptrack.road.table import ALONG as ALONG_PIECE
+from adaptrack.road.table import Pieces
 
 
 def _quantity(value: Any) -> Any:

@@ -494,11 +494,10 @@ class Learner:
         dead_time = float(beliefs.used_dead_time) + self.computation
         return PathModel(self.car, self.period, float(beliefs.used_lag), dead_time)
 
-    def dead_time(self, memory: Array) -> float:
-        """From an instant until its command begins to act (s), as a memory believes."""
+    def delay(self, memory: Array) -> float:
+        """Periods from an instant until its command begins to act, as a memory believes."""
         # added and divided as the kernel does
-        delay_steps = (float(memory_of(memory, 0).beliefs.used_dead_time) + self.computation) / self.period
-        return delay_steps * self.period
+        return (float(memory_of(memory, 0).beliefs.used_dead_time) + self.computation) / self.period
 
     def truth(self, steering: SteeringActuator, plant: Any) -> dict[str, float]:
         """What there is to be learned in a simulated world, by the names of `LearnedCar`: of a plant with its own tyre.
@@ -521,7 +520,7 @@ class Learner:
     def again(self, memory: Array) -> Array:
         """A memory before the first step of another drive."""
         fresh = memory.copy()
-        memory_of(fresh, 0).count = 0.0
+        kernel.begin_again(fresh)
         return fresh
 
     def learned(self, memory: Array) -> LearnedCar:

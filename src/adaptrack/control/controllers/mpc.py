@@ -511,11 +511,11 @@ class MPC(Controller):
             self.estimator.change_path(self.model, mpc.informed.estimates[0], turned, shifted)
 
     @property
-    def _dead_time(self) -> float:
-        """s, from an instant until its command begins to act, as believed at present."""
+    def _delay(self) -> float:
+        """Periods from an instant until its command begins to act, as believed at present."""
         if self.learner is None:
-            return self.model.dead_time
-        return self.learner.dead_time(self._mpc.informed.learned[0])
+            return self.model.dead_time / self.period
+        return self.learner.delay(self._mpc.informed.learned[0])
 
     def predicted_output(self) -> tuple[Array, Array]:
         """Times (Np,) s from now and y (Np,) m that the last step predicts for them, with its plan of moves.
@@ -532,7 +532,7 @@ class MPC(Controller):
         else:
             moves[: own.planned] = mpc.plan[0, : own.planned]
         response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        return np.asarray((steps + 1.0) * self.period + self._dead_time), np.asarray(free + response)
+        return np.asarray((steps + 1.0) * self.period + self._delay * self.period), np.asarray(free + response)
 
     def step(
         self,
@@ -655,8 +655,7 @@ class MPC(Controller):
         bend = self._mpc.bend
         bend[:] = 0.0
         if road is not None and math.isfinite(speed):
-            delay = self._dead_time / self.period
-            bend[:] = road.bend(bend.size, max(speed, self.speed_floor), delay, self.period)
+            bend[:] = road.bend(bend.size, max(speed, self.speed_floor), self._delay, self.period)
 
     def _schedule(self, variables: Sequence[float] | None) -> None:
         """Let the scheduler choose the tuning."""

@@ -1,6 +1,8 @@
-"""Compile the kernels into the library: ``python -m adaptrack.core.build [--portable] [PROCESSOR ...]``.
+"""Compile the kernels: ``python -m adaptrack.core.build [--portable] [PROCESSOR ...] [--export TARGET ...]``.
 
-For this processor, and for those that are named; portable: for all processors of this machine's kind.
+Into the library for this processor, and for those that are named; portable: for all processors of this machine's kind.
+export: into the object files that other programs take in, for the targets that are named or for ``all``; with
+``--archive FOLDER`` at the end they are packed.
 """
 
 import os
@@ -8,13 +10,21 @@ import sys
 
 os.environ["ADAPTRACK_KERNELS"] = "jit"
 
+from pathlib import Path
+
 from .. import library
 
 if __name__ == "__main__":
     library.source_hashes()  # of the sources before they are imported
+    from .exports import EXPORTS, archive
     from .library import BuildError, build
 
+    given, _, folder = " ".join(sys.argv[1:]).partition("--archive")
+    given, _, exports = given.partition("--export")
     try:
-        build([each for each in sys.argv[1:] if each != "--portable"], "--portable" in sys.argv)
+        names = [each for each in given.split() if each != "--portable"]
+        build(names, "--portable" in given, list(EXPORTS) if "all" in exports.split() else exports.split())
+        if folder:
+            print(archive(Path(folder.strip())))
     except (BuildError, OSError) as error:
         sys.exit(f"adaptrack.core.build: {error}")

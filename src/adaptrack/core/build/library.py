@@ -68,7 +68,7 @@ TARGETS = {
     "macos-x86-64": Target("x86_64-apple-macosx11.0.0", "x86-64", lacks=("fma", "floor", "ceil")),
     "macos-x86-64-v3": Target("x86_64-apple-macosx11.0.0", "x86-64-v3"),
 }
-SOFT = {"fma": 3, "floor": 1, "ceil": 1}
+SOFT = {"fma": 3, "floor": 1, "ceil": 1, "sqrt": 1}
 """Functions of C's library that the kernels have themselves, exactly, as ``soft_NAME``; how many floats each takes."""
 
 WINDOWS = """
@@ -127,31 +127,43 @@ def _soft(name: str) -> str:
     )
 
 
-def emit(text: str, target: Target) -> bytes:
-    """The object file of a module for a target.
-
-    No function of C's is called: "no-builtins" keeps loops from becoming calls of memcpy and its like, and what the
-    target lacks comes from `SOFT`.
-    """
+def retargeted(text: str, target: Target, reloc: str = "pic") -> tuple[Any, str]:
+    """LLVM's machine of a target, and the text of a module for it."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
-    machine = llvm.Target.from_triple(target.triple).create_target_machine(
-        cpu=target.cpu, features=target.features, opt=3, reloc="pic"
-    )
-    text = re.sub(r'target datalayout = ".*"', f'target datalayout = "{machine.target_data}"', text)
-    text = re.sub(r'target triple = ".*"', f'target triple = "{target.triple}"', text)
-    text += "".join(map(_soft, target.lacks))
     if "windows" in target.triple:
         llvm.initialize_native_asmparser()
-        text = re.sub(r"^define (?=[^@]*@adaptrack_)", "define dllexport ", text, flags=re.MULTILINE) + WINDOWS
-    module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", r'\1 "no-builtins" {', text, flags=re.MULTILINE))
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.loop_vectorization = options.slp_vectorization = True
+    machine = llvm.Target.from_triple(target.triple).create_target_machine(
+        cpu=target.cpu, features=target.features, opt=3, reloc=reloc
+    )
+    text = re.sub(r'target datalayout = ".*"', f'target datalayout = "{machine.target_data}"', text)
+    return machine, re.sub(r'target triple = ".*"', f'target triple = "{target.triple}"', text)
+
+
+def optimised(module: Any, machine: Any, speed: int = 3, vectors: bool = True) -> None:
+    """Optimise a module for a machine, in place."""
+    options = llvm.create_pipeline_tuning_options(speed_level=speed)
+    options.loop_vectorization = options.slp_vectorization = vectors
     passes = llvm.create_pass_builder(machine, options)
     for function in module.functions:  # small before they are inlined: that takes half the time
         if not function.is_declaration:
             passes.getFunctionPassManager().run(function, passes)
     passes.getModulePassManager().run(module, passes)
+
+
+def emit(text: str, name: str) -> bytes:
+    """The object file of a module for a target.
+
+    No function of C's is called: "no-builtins" keeps loops from becoming calls of memcpy and its like, and what the
+    target lacks comes from `SOFT`.
+    """
+    target = TARGETS[name]
+    machine, text = retargeted(text, target)
+    text += "".join(map(_soft, target.lacks))
+    if "windows" in target.triple:
+        text = re.sub(r"^define (?=[^@]*@adaptrack_)", "define dllexport ", text, flags=re.MULTILINE) + WINDOWS
+    module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", r'\1 "no-builtins" {', text, flags=re.MULTILINE))
+    optimised(module, machine)
     return bytes(machine.emit_object(module))
 
 
@@ -227,65 +239,82 @@ def of_this_kind() -> list[str]:
     return [each for each in TARGETS if each.split("-v")[0] == name.split("-v")[0]] or [name]
 
 
-def _listed() -> dict[str, dict[str, str]]:
-    """The libraries of the manifest that is there."""
+def _listed(what: str) -> dict[str, dict[str, str]]:
+    """The ``libraries`` or the ``exports`` of the manifest that is there."""
     with suppress(*library.UNUSABLE):
-        return dict(library.manifest()["libraries"])
+        return dict(library.manifest()[what])
     return {}
 
 
-def _built() -> dict[str, dict[str, str]]:
+def _built(what: str = "libraries") -> dict[str, dict[str, str]]:
     """What is there of these sources, whole, by the names of the targets."""
     found = {}
     with suppress(*library.UNUSABLE):
         if library.manifest()["sources"] == library.source_hashes():
-            for name, entry in _listed().items():
+            for name, entry in _listed(what).items():
                 with suppress(*library.UNUSABLE):
                     library.whole(entry)
                     found[name] = entry
     return found
 
 
-def build(names: Iterable[str] = (), portable: bool = False) -> None:
+def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[str] = ()) -> None:
     """Compile all kernels into `library.BUILT`, for this processor and for further ones (names of `TARGETS`).
 
-    portable: for all processors of this machine's kind, as a wheel needs them.
+    portable: for all processors of this machine's kind, as a wheel needs them; exports: names of `exports.EXPORTS`, for
+    which the object file is made that other programs take in.
 
     Raises BuildError.
     """
+    from .exports import EXPORTS, emit_export, shipped
+
     begun = time.monotonic()
-    made = _built()
     own = of_this_kind() if portable else [library.processor()]
-    names = [each for each in dict.fromkeys([*own, *names]) if each not in made]
-    if not names:
+    asked = {
+        "libraries": (emit, TARGETS, [*own, *names]),
+        "exports": (emit_export, EXPORTS, [*shipped(own, portable), *exports]),
+    }
+    jobs = [(what, name) for what, (_, _, wanted) in asked.items() for name in dict.fromkeys(wanted)
+            if name not in _built(what)]  # fmt: skip
+    if not jobs:
         _say(f"The kernels are compiled already: {library.BUILT}")
         return
-    unknown = [each for each in names if each not in TARGETS]
+    unknown = [f"{name} ({', '.join(asked[what][1])})" for what, name in jobs if name not in asked[what][1]]
     if unknown:
-        raise BuildError(f"{', '.join(unknown)}: no such processor; there are {', '.join(TARGETS)}.")
+        raise BuildError(f"no such processor: {'; '.join(unknown)}.")
     cores = min(2, os.cpu_count() or 1)
-    _say(f"Compiling the kernels for {', '.join(names)}: a minute or two on {cores} cores.")
+    _say(f"Compiling the kernels for {', '.join(name for _, name in jobs)}: a minute or two on {cores} cores.")
     kernels = kernels_of(ROOMS)
     if library.source_hashes.__wrapped__() != library.source_hashes():
         raise BuildError("a source was edited while it was read: once more.")
     whole = _module(kernels)
     _say(f"  {len(kernels)} kernels, {time.monotonic() - begun:.0f} s")
     library.BUILT.mkdir(exist_ok=True)
-    with multiprocessing.get_context("spawn").Pool(min(cores, len(names))) as pool:
-        objects = pool.starmap(emit, [(whole, TARGETS[name]) for name in names], chunksize=1)
-    for name, content in zip(names, objects, strict=True):
-        ending, content = finished(name, content)
-        digest = hashlib.sha256(content).hexdigest()
-        path = library.BUILT / f"kernels-{name}-{digest[:12]}.{ending}"  # another build at the same time has its own
-        _put(path, content)
-        made[name] = {"file": path.name, "sha256": digest}
-        _say(f"  {path}: {path.stat().st_size // 1000} kB, {time.monotonic() - begun:.0f} s")
+    made: dict[str, dict[str, dict[str, str]]] = {what: {} for what in asked}
+    with multiprocessing.get_context("spawn").Pool(min(cores, len(jobs))) as pool:
+        waiting = [pool.apply_async(asked[what][0], (whole, name)) for what, name in jobs]
+        for (what, name), each in zip(jobs, waiting, strict=True):
+            content = each.get()
+            stem, ending = f"export-{name}", "o"
+            if what == "libraries":
+                stem, (ending, content) = f"kernels-{name}", finished(name, content)
+            made[what][name] = _kept(stem, ending, content)
+            _say(f"  {made[what][name]['file']}: {len(content) // 1000} kB, {time.monotonic() - begun:.0f} s")
     _put(library.BUILT / HEADER, header(kernels.values()).encode())
     sources = {name: sources_of(Path(each.function.__code__.co_filename)) for name, each in kernels.items()}
-    made = _built() | made  # another build may have ended meanwhile
-    kept = {each["file"] for each in [*made.values(), *_listed().values()]}  # who reads the old manifest wants these
-    manifest = {"sources": library.source_hashes(), "libraries": made, "kernels": sources}
+    made = {what: _built(what) | each for what, each in made.items()}  # another build may have ended meanwhile
+    # who reads the old manifest wants these
+    kept = {each["file"] for what in made for each in [*made[what].values(), *_listed(what).values()]}
+    manifest = {"sources": library.source_hashes(), **made, "kernels": sources}
     _put(library.BUILT / library.MANIFEST, json.dumps(manifest, indent=1).encode())
-    for old in library.BUILT.glob("kernels-*"):
+    for old in [*library.BUILT.glob("kernels-*"), *library.BUILT.glob("export-*")]:
         if old.name not in kept and time.time() - old.stat().st_mtime > AN_HOUR:
             old.unlink(missing_ok=True)
+
+
+def _kept(stem: str, ending: str, content: bytes) -> dict[str, str]:
+    """Write what was made; its entry of the manifest. Another build at the same time has its own name."""
+    digest = hashlib.sha256(content).hexdigest()
+    path = library.BUILT / f"{stem}-{digest[:12]}.{ending}"
+    _put(path, content)
+    return {"file": path.name, "sha256": digest}

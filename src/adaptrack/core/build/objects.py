@@ -1,6 +1,6 @@
 """What an object file or a library leaves to others: the functions that it calls and does not have.
 
-Formats: ELF-64, little-endian (System V Application Binary Interface, chapter 4), WebAssembly (Core Specification
+Formats: ELF, little-endian (System V Application Binary Interface, chapter 4), WebAssembly (Core Specification
 2.0, section 5.5), COFF and PE (Microsoft, PE Format) and Mach-O (Apple, mach-o/loader.h and nlist.h).
 """
 
@@ -17,7 +17,7 @@ def undefined(content: bytes) -> list[str]:
 
     Raises ValueError for another format.
     """
-    if content.startswith(b"\x7fELF\x02\x01"):
+    if content.startswith((b"\x7fELF\x01\x01", b"\x7fELF\x02\x01")):
         return sorted(_of_elf(content) - {_LINKERS_OWN})
     if content.startswith(b"\0asm"):
         return sorted(_of_wasm(content))
@@ -27,7 +27,7 @@ def undefined(content: bytes) -> list[str]:
         return sorted(_of_coff(content))
     if content.startswith(b"MZ"):
         return sorted(_of_dll(content))
-    raise ValueError("neither ELF-64 nor WebAssembly, COFF, PE or Mach-O.")
+    raise ValueError("neither ELF nor WebAssembly, COFF, PE or Mach-O.")
 
 
 def _text(content: bytes, at: int) -> str:
@@ -35,14 +35,17 @@ def _text(content: bytes, at: int) -> str:
 
 
 def _of_elf(content: bytes) -> set[str]:
-    (start,) = struct.unpack_from("<Q", content, 0x28)
-    size, count = struct.unpack_from("<HH", content, 0x3A)
-    sections = [struct.unpack_from("<IIQQQQIIQQ", content, start + size * i) for i in range(count)]
+    long = content[4] == 2  # of 64 bits
+    (start,) = struct.unpack_from("<Q", content, 0x28) if long else struct.unpack_from("<I", content, 0x20)
+    size, count = struct.unpack_from("<HH", content, 0x3A if long else 0x2E)
+    row = "<IIQQQQIIQQ" if long else "<10I"
+    sections = [struct.unpack_from(row, content, start + size * i) for i in range(count)]
     found = set()
     for section in sections:
         if section[1] in _SYMBOLS:
-            names = sections[section[6]][4]
-            for name, _, _, home, _, _ in struct.iter_unpack("<IBBHQQ", content[section[4] : section[4] + section[5]]):
+            names, symbols = sections[section[6]][4], content[section[4] : section[4] + section[5]]
+            for symbol in struct.iter_unpack("<IBBHQQ" if long else "<IIIBBH", symbols):
+                name, home = symbol[0], symbol[3] if long else symbol[5]
                 if home == 0 and name != 0:
                     found.add(_text(content, names + name))
     return found

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..estimators import learning
+from ..estimators import kalman, learning
 from ..kernel import (
     Place,
     address_of,
@@ -286,12 +286,39 @@ def begin_learning(slot, own):
 @inlined
 def forget(slot, mpc):
     """Back to before the first step; the model and factor that the workspace holds stay valid."""
+    restart(slot, mpc)
+    begin_learning(slot, mpc.informed)
+
+
+@inlined
+def restart(slot, mpc):
+    """Likewise, but what has been learned of the car stays."""
     own = mpc.memory[slot]
     own.started, own.command, own.active, own.kept, own.planned, own.age = 0, 0.0, 0, 0, 0, 0
     own.reference = 0.0
     mpc.previous[slot, :] = 0.0
     mpc.informed.estimates[slot, :] = 0.0
-    begin_learning(slot, mpc.informed)
+    if mpc.settings.learns > 0:
+        learning.begin_again(mpc.informed.learned[slot])
+
+
+@inlined
+def change_path(slot, turned, shifted, late, mpc):
+    """Let heading (rad) and offset (m) of the past grow by so much: another path lies under the car.
+
+    late: of the Kalman filter; another estimator, -1, begins anew.
+    """
+    for i in range(mpc.states.size):
+        if mpc.states[i] == MEASURED.yaw:
+            mpc.previous[slot, i] += turned
+        elif mpc.states[i] == MEASURED.y:
+            mpc.previous[slot, i] += shifted
+    if mpc.memory[slot].started == 0:
+        return
+    if late < 0:
+        mpc.informed.estimates[slot, :] = 0.0
+    else:
+        kalman.move_path(mpc.informed.estimates[slot], late, turned, shifted)
 
 
 @inlined

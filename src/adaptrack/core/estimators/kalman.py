@@ -32,9 +32,22 @@ the estimate by more than `bound` times its noise, the estimate is not finite: t
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from ..kernel import Row, columns, exported, float64, inlined, local, record, shaped, size_of, viewer, void
+from ..kernel import (
+    Row,
+    columns,
+    exported,
+    float64,
+    inlined,
+    int64,
+    local,
+    record,
+    shaped,
+    size_of,
+    vector,
+    viewer,
+    void,
+)
 from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
 from ..maths.vectors import WIDTH, add, load, mul, splat, store, total, zeros
@@ -125,15 +138,19 @@ def memory_size(longest: int, late: int) -> int:
     return _AFTER + WIDTH * (late + 1) + longest + late + 2
 
 
-def move_path(memory: Any, late: int, heading: float, offset: float) -> None:
+@exported(void(vector, int64, float64, float64))
+def move_path(memory, late, heading, offset):
     """Let heading (rad) and offset (m) of all that is remembered grow by so much: another path lies under the car."""
-    m, samples = memory_of(memory, 0), memory[_AFTER : _AFTER + WIDTH * (late + 1)]
+    m = memory_of(memory, 0)
     for z in (m.z, m.past_z):
         z[STATE.yaw] += heading
         z[STATE.y] += offset
-    for row in (m.last, *samples.reshape(-1, WIDTH)):
-        row[MEASURED.yaw] += heading
-        row[MEASURED.y] += offset
+    m.last[MEASURED.yaw] += heading
+    m.last[MEASURED.y] += offset
+    for k in range(late + 1):
+        row = _AFTER + WIDTH * k
+        memory[row + MEASURED.yaw] += heading
+        memory[row + MEASURED.y] += offset
 
 
 @inlined

@@ -725,6 +725,12 @@ def learn(speed, measured, command, left_out, parameters, memory):
     _write_beliefs(p, m, memory)
 
 
+@exported(void(vector))
+def begin_again(memory):
+    """Before the first step of another drive: what has been learned stays."""
+    memory_of(memory, 0).count = 0.0
+
+
 @inlined
 def delay_of(parameters, memory):
     """Periods from an instant until its command begins to act, as believed."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..controllers.mpc_step import Step
+from ..input_check.record import Check
 from ..kernel import columns, record, rows, vector
 from ..models.contract import MEASURED
 from ..road import Roads
@@ -143,7 +144,7 @@ TRACKED = columns(
     "heading_error",  # rad, the car's heading less the path's; likewise
     "station",  # m, arc length of the car's foot on the path, over all laps; likewise
     "belief_state", "belief_at_bound",  # of what the controller learns, see `estimators.learning`; UNKNOWN: nothing
-    "suspect",  # sum of 1, 2, 4, ...: inputs that contradict each other
+    "suspect",  # sum of 2^k for each of `input_check.record.MISTAKES` that was found in the inputs
 )  # fmt: skip
 """What a call gives."""
 
@@ -164,6 +165,7 @@ Tracker = record(
         ("answer", vector),  # (ANSWER,)
         ("request", vector),  # (REQUEST,)
         ("tracked", vector),  # (TRACKED,)
+        ("check", Check),  # of the inputs
     ),
 )
 """A tracker around any controller."""
@@ -181,17 +183,18 @@ Scheduling = record(
 Tracking = record("Tracking", (("tracker", Tracker), ("step", Step), ("scheduling", Scheduling)))
 """A tracker with an MPC, on curved roads."""
 
-LawTracking = record("LawTracking", (("tracker", Tracker), ("law", Law), ("tuning", vector), ("scheduling", Scheduling)))
+LawTracking = record(
+    "LawTracking", (("tracker", Tracker), ("law", Law), ("tuning", vector), ("scheduling", Scheduling))
+)
 """A tracker with a control law in its only slot; tuning (entries,): as used."""
 
 
-def tracker(settings: Any, path: Any, plan: Any = None) -> Any:
-    """A tracker before its first call: SETTINGS (1,), a road alone as `Roads`, a `Plan`; `engage` comes next."""
-    none = np.zeros(0)
+def tracker(settings: Any, path: Any, plan: Any, check: Any) -> Any:
+    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `Plan`, a `Check`."""
     sizes = (len(MEASURED), SPEEDS, len(AHEAD), len(ANSWER), len(REQUEST), len(TRACKED))
     return Tracker(
         settings, MEMORY.new(near=np.nan), np.full(len(SAMPLE), np.nan), path,
-        Plan(none, none) if plan is None else plan, *(np.zeros(size) for size in sizes),
+        plan, *(np.zeros(size) for size in sizes), check,
     )  # fmt: skip
 
 

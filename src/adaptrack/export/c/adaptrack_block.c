@@ -59,7 +59,7 @@ static uint64_t tables(const block *b) {
 }
 
 /* Read the numbers and find the tables; ADAPTRACK_DAMAGED where they do not fit. */
-static adaptrack_status read_block(const unsigned char *p, size_t size, block *b) {
+static adaptrack_error read_block(const unsigned char *p, size_t size, block *b) {
     uint32_t counts[12];
     uint64_t bytes, behind;
     b->kernels = eight(p + PRELUDE);
@@ -93,7 +93,7 @@ static const adaptrack_function *function_of(const adaptrack_reader *reader, uin
 }
 
 /* Every index within its bounds, every function at hand. */
-static adaptrack_status check_tables(const adaptrack_reader *reader, const block *b) {
+static adaptrack_error check_tables(const adaptrack_reader *reader, const block *b) {
     for (uint32_t i = 0; i < b->places; i++)
         if (four(b->place + 8u * i) >= b->record || four(b->place + 8u * i + 4u) >= b->words) return ADAPTRACK_DAMAGED;
     for (uint32_t i = 0; i < b->starts; i++) {
@@ -111,9 +111,9 @@ static adaptrack_status check_tables(const adaptrack_reader *reader, const block
     return ADAPTRACK_OK;
 }
 
-static adaptrack_status prove(const adaptrack_reader *reader, const void *constants, size_t size, block *b) {
+static adaptrack_error prove(const adaptrack_reader *reader, const void *constants, size_t size, block *b) {
     const unsigned char *p = (const unsigned char *)constants;
-    adaptrack_status status;
+    adaptrack_error status;
     if (!reader || !p) return ADAPTRACK_BAD_ARGUMENT;
     if (size < PRELUDE + HEADER || !same(p, MAGIC, sizeof MAGIC)) return ADAPTRACK_DAMAGED;
     if (four(p + 8) != FORMAT) return ADAPTRACK_OTHER_VERSION;
@@ -126,7 +126,7 @@ static adaptrack_status prove(const adaptrack_reader *reader, const void *consta
     return check_tables(reader, b);
 }
 
-adaptrack_status adaptrack_block_check(const adaptrack_reader *reader, const void *constants, size_t size) {
+adaptrack_error adaptrack_block_check(const adaptrack_reader *reader, const void *constants, size_t size) {
     block b;
     return prove(reader, constants, size, &b);
 }
@@ -186,11 +186,11 @@ static int is_as_in(const block *b, const uint64_t *words, uint32_t first, uint3
     return 1;
 }
 
-adaptrack_status adaptrack_block_lay(const adaptrack_reader *reader, void *memory, size_t memory_size,
+adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory, size_t memory_size,
                                      const void *constants, size_t size) {
     block b;
     adaptrack_head *head = (adaptrack_head *)memory;
-    adaptrack_status status;
+    adaptrack_error status;
     if (!memory || (uintptr_t)memory % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
     status = prove(reader, constants, size, &b);
     if (status != ADAPTRACK_OK) return status;
@@ -206,11 +206,11 @@ adaptrack_status adaptrack_block_lay(const adaptrack_reader *reader, void *memor
     return ADAPTRACK_OK;
 }
 
-adaptrack_status adaptrack_block_renew(const adaptrack_reader *reader, void *memory, const void *constants,
+adaptrack_error adaptrack_block_renew(const adaptrack_reader *reader, void *memory, const void *constants,
                                        size_t size) {
     block b;
     adaptrack_head *head = (adaptrack_head *)memory;
-    adaptrack_status status;
+    adaptrack_error status;
     uint64_t *words;
     if (!is_ready(memory)) return ADAPTRACK_NOT_READY;
     status = prove(reader, constants, size, &b);
@@ -236,7 +236,7 @@ size_t adaptrack_block_state_size(const void *memory) {
     return is_ready(memory) ? ADAPTRACK_SAVED_HEAD + 8u * (size_t)(head->words - head->renewed) : 0;
 }
 
-adaptrack_status adaptrack_block_save(const adaptrack_reader *reader, const void *memory, void *state, size_t size) {
+adaptrack_error adaptrack_block_save(const adaptrack_reader *reader, const void *memory, void *state, size_t size) {
     const adaptrack_head *head = (const adaptrack_head *)memory;
     unsigned char *p = (unsigned char *)state;
     const uint64_t *words;
@@ -258,7 +258,7 @@ adaptrack_status adaptrack_block_save(const adaptrack_reader *reader, const void
     return ADAPTRACK_OK;
 }
 
-adaptrack_status adaptrack_block_restore(const adaptrack_reader *reader, void *memory, const void *state, size_t size) {
+adaptrack_error adaptrack_block_restore(const adaptrack_reader *reader, void *memory, const void *state, size_t size) {
     adaptrack_head *head = (adaptrack_head *)memory;
     const unsigned char *p = (const unsigned char *)state;
     uint64_t *words;
@@ -279,7 +279,7 @@ adaptrack_status adaptrack_block_restore(const adaptrack_reader *reader, void *m
 }
 
 /* -- who calls ---------------------------------------------------------------------------------------------------- */
-adaptrack_status adaptrack_arithmetic(void) {
+adaptrack_error adaptrack_arithmetic(void) {
     volatile double one = 1.0, smallest = DBL_MIN, step = DBL_EPSILON;
     volatile double half = smallest * 0.5, up = one + 0.75 * step, low = one + 0.25 * step, below = -one - 0.25 * step;
     return half > 0.0 && up == one + step && low == one && below == -one ? ADAPTRACK_OK : ADAPTRACK_ARITHMETIC;
@@ -301,7 +301,7 @@ static uint32_t EXCHANGE(uint32_t *place, uint32_t value) {
 #define RELEASE(place) (*(place) = 0u)
 #endif
 
-adaptrack_status adaptrack_block_take(void *memory) {
+adaptrack_error adaptrack_block_take(void *memory) {
     if (!is_ready(memory)) return ADAPTRACK_NOT_READY;
     return EXCHANGE(&((adaptrack_head *)memory)->busy, 1u) == 0u ? ADAPTRACK_OK : ADAPTRACK_BUSY;
 }

@@ -4,30 +4,14 @@
    kernels first, then its arrays: FIXED (constant), RENEWED (follow from constants, written to), KEPT (state). */
 #ifndef ADAPTRACK_BLOCK_H
 #define ADAPTRACK_BLOCK_H
+#include "adaptrack_error.h"
+
 #include <stddef.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* What every function answers. Values stay; a minor version may add some. */
-typedef enum {
-    ADAPTRACK_OK = 0,
-    ADAPTRACK_BAD_ARGUMENT = 1,    /* a null pointer, a size, an address that is no multiple of 8 */
-    ADAPTRACK_TOO_SMALL = 2,       /* the memory */
-    ADAPTRACK_NOT_READY = 3,       /* the memory has not been initialised, or was overwritten */
-    ADAPTRACK_BUSY = 4,            /* another thread, or an interrupted call, is in a step of this memory */
-    ADAPTRACK_DAMAGED = 5,         /* the block or the saved state is cut short, or a byte of it is another */
-    ADAPTRACK_OTHER_VERSION = 6,   /* the format, or the kernels, are of another version of adaptrack */
-    ADAPTRACK_OTHER_KIND = 7,      /* constants of another kind of controller, or of functions not linked in */
-    ADAPTRACK_OTHER_SIZES = 8,     /* constants of other horizons or parts: adaptrack_init takes them */
-    ADAPTRACK_OTHER_CONSTANTS = 9, /* the state was saved under other constants */
-    ADAPTRACK_OTHER_PATH = 10,     /* the state was saved on another path */
-    ADAPTRACK_ARITHMETIC = 11,     /* rounding is not to nearest, or subnormal numbers count as zero */
-    ADAPTRACK_BAD_PATH = 12,       /* the points make no path, or the memory holds none */
-    ADAPTRACK_OUT_OF_ORDER = 13    /* a call that has to wait for another one first */
-} adaptrack_status;
 
 /* A kernel whose address blocks may hold: CRC-32 of its name. */
 typedef struct {
@@ -61,20 +45,20 @@ enum { ADAPTRACK_SAVED_HEAD = 48 }; /* bytes of a saved state before its words *
 /* Bytes of memory that the constants need, 0 for no block; the block is not proved. */
 size_t adaptrack_block_memory(const void *constants, size_t size);
 /* Prove a block whole and of this reader. */
-adaptrack_status adaptrack_block_check(const adaptrack_reader *, const void *constants, size_t size);
+adaptrack_error adaptrack_block_check(const adaptrack_reader *, const void *constants, size_t size);
 /* Lay a block into a memory; nothing is written unless it is proved. The memory must be aligned to 8 bytes. */
-adaptrack_status adaptrack_block_lay(const adaptrack_reader *, void *memory, size_t memory_size, const void *constants,
+adaptrack_error adaptrack_block_lay(const adaptrack_reader *, void *memory, size_t memory_size, const void *constants,
                                      size_t size);
 /* Other constants under a state that stays; nothing is written unless they are proved and of the same sizes. */
-adaptrack_status adaptrack_block_renew(const adaptrack_reader *, void *memory, const void *constants, size_t size);
+adaptrack_error adaptrack_block_renew(const adaptrack_reader *, void *memory, const void *constants, size_t size);
 /* Bytes of a saved state; 0 for a memory that is not ready. */
 size_t adaptrack_block_state_size(const void *memory);
-adaptrack_status adaptrack_block_save(const adaptrack_reader *, const void *memory, void *state, size_t size);
-adaptrack_status adaptrack_block_restore(const adaptrack_reader *, void *memory, const void *state, size_t size);
+adaptrack_error adaptrack_block_save(const adaptrack_reader *, const void *memory, void *state, size_t size);
+adaptrack_error adaptrack_block_restore(const adaptrack_reader *, void *memory, const void *state, size_t size);
 /* ADAPTRACK_OK where rounding is to nearest and subnormal numbers are numbers. */
-adaptrack_status adaptrack_arithmetic(void);
+adaptrack_error adaptrack_arithmetic(void);
 /* Take a memory for a call, ADAPTRACK_BUSY where another call has it; give it back. */
-adaptrack_status adaptrack_block_take(void *memory);
+adaptrack_error adaptrack_block_take(void *memory);
 void adaptrack_block_give(void *memory);
 /* The record at the beginning of the words. */
 void *adaptrack_block_record(void *memory);

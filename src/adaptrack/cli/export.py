@@ -1,0 +1,134 @@
+"""`adaptrack export c`: a controller as a C library that needs neither Python nor this package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Option
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cli import options, show
+from adaptrack.cli import road as roads
+from adaptrack.cli.next_step import next_line
+
+if TYPE_CHECKING:
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.control.controllers import Controller
+    from adaptrack.scenario.profile import Profile
+
+app = typer.Typer(help="Controllers for other programs: a C library.", no_args_is_help=True, rich_markup_mode=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportedController:
+    """Which controller is exported."""
+
+    controller: Annotated[
+        str | None,
+        Option("--controller", metavar="NAME", help="informed [default], standard, lqr, pure-pursuit, stanley, ..."),
+    ] = None
+    tuning: Annotated[Path | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found.")] = None
+    scheduler: Annotated[
+        str | None,
+        Option("--scheduler", metavar="NAME", help="Name or .json file: retunes the MPC at every step."),
+    ] = None
+    car: options.CarAndPlant
+    profile: options.Profile = "road"
+    learn: Annotated[bool, Option("--learn", help="Let the informed controller learn while it drives.")] = False
+    learned: Annotated[
+        Path | None, Option("--learned", metavar="FILE", help="Learn, starting from this TOML file.")
+    ] = None
+
+    def make(self, car: Vehicle, world: Profile) -> Controller:
+        """The controller.
+
+        Raises
+        ------
+        InvalidInput
+            When the options contradict each other or make none.
+        """
+        from adaptrack.cli.drive import tuned
+        from adaptrack.cli.simulate import ControllerSettings, learning_of, make_controller
+        from adaptrack.control.scheduling import load_scheduler
+
+        if self.tuning is not None and (self.controller or self.scheduler):
+            raise InvalidInput("--tuning: its file says which controller; leave --controller and --scheduler out.")
+        if self.learned is not None and not self.learned.exists():
+            raise InvalidInput(f"--learned {self.learned}: there is no such file; drive --learned writes one.")
+        settings = ControllerSettings(
+            car, world, world.period, preview=True,
+            learning=learning_of(options.DriveSettings(learn=self.learn, learned=self.learned)),
+            schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
+            label=self.scheduler or "",
+        )  # fmt: skip
+        if self.tuning is not None:
+            return tuned(self.tuning, settings)[1]
+        return make_controller(self.controller or settings.usual, settings)[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Options of `adaptrack export c`."""
+
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where the library goes.")]
+    which: ExportedController
+    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Of the recorded minute: {roads.ROADS}")] = "country"
+    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
+    speed: Annotated[
+        float | None, Option("--speed", metavar="V", help="Of the recorded minute (m/s); by default planned.")
+    ] = None
+    target: Annotated[
+        list[str] | None,
+        Option("--target", metavar="NAME", help="Processor; by default this one; may be repeated."),
+    ] = None
+    objects: Annotated[
+        Path | None,
+        Option(
+            "--objects", metavar="FOLDER", help="Of the kernels for other processors: an archive of `make targets`."
+        ),
+    ] = None
+    room: Annotated[
+        tuple[int, int] | None,
+        Option("--room", metavar="NP NC", hidden=True, help="Largest horizons of constants that are loaded later."),
+    ] = None
+    as_json: options.Json = False
+
+
+@app.command("c")
+@options.grouped
+def export_c(given: ExportOptions) -> None:
+    """A controller with its tracker as a C library: header, kernels, constants, and a recorded minute as proof.
+
+    It needs no compiler here, and there neither Python nor this package.
+    """
+    from dataclasses import asdict
+
+    from adaptrack.export.c_library import export_c as export
+    from adaptrack.export.c_library import kernel_files
+    from adaptrack.export.tracking import refuse
+    from adaptrack.scenario.profile import load_profile
+
+    car, plant = given.which.car.load()
+    world = load_profile(given.which.profile)
+    controller = given.which.make(car, world)
+    refuse(controller)
+    kernel_files(given.target or (), given.objects)
+    options.make_folder(given.out)
+    seeds = None if given.road_seed is None else [given.road_seed]
+    checked = roads.RoadOptions(speed=given.speed, road_seed=seeds).look(given.road, car, world)
+    with show.progress("recorded minute"):
+        made = export(
+            controller, given.out, targets=given.target or (), road=checked.road, plan=checked.plan, plant=plant,
+            profile=world, room=given.room, objects=given.objects,
+        )  # fmt: skip
+    if given.as_json:
+        show.say_json({**asdict(made), "folder": str(made.folder)})
+        return
+    show.say(f"{controller.name} for {', '.join(made.targets)}: {made.folder}")
+    show.say(
+        f"Constants {made.constants_size:,} bytes, a tracker {made.memory_size:,}, a saved state {made.state_size:,}."
+    )
+    show.say(next_line("to see that it drives as it does here", f"make -C {made.folder} check"))

@@ -1,0 +1,183 @@
+"""What is taken into other programs: an object file for each target, of the kernels that a controller calls.
+
+Nothing in it is global but these kernels, nothing is written that is static, and every function and constant has a
+section of its own, so that a linker leaves out what a program does not call. It calls nothing but what a target's
+`calls` names. For a microcontroller it is built for size: the same bits, but no function is inlined by force.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import re
+import tarfile
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+
+from .. import library
+from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted
+from .objects import undefined
+
+KERNELS = (
+    "mpc_step", "stanley", "pure_pursuit", "lqr", "schedule_step", "supervise", "discretise_single_track",
+    "discretise_path", "kalman", "learn_car", "believe", "bend_of", "foot_about", "nearest_foot", "elementary_values",
+)  # fmt: skip
+"""What an exported controller, its tracker and its path may call, and members that a record has the address of."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """How a target is exported.
+
+    compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names.
+    """
+
+    target: Target
+    compact: bool = False
+    calls: tuple[str, ...] = ()
+
+
+_WHOLE_NUMBERS = ("__aeabi_d2lz", "__aeabi_l2d", "__aeabi_ul2d", "__aeabi_ldivmod", "__aeabi_uldivmod")
+"""Conversions of 64 bits and their quotient. They are exact, or rounded to the nearest: everywhere the same."""
+_DOUBLES = (
+    "__aeabi_dadd", "__aeabi_dsub", "__aeabi_dmul", "__aeabi_ddiv", "__aeabi_dcmpeq", "__aeabi_dcmplt",
+    "__aeabi_dcmple", "__aeabi_dcmpge", "__aeabi_dcmpgt", "__aeabi_dcmpun", "__aeabi_i2d", "__aeabi_ui2d",
+    "__aeabi_d2iz", "__aeabi_d2uiz", "__aeabi_lmul",
+)  # fmt: skip
+"""IEEE arithmetic in software (Run-time ABI for the Arm Architecture, section 5.1)."""
+
+EXPORTS = {
+    **{name: Exported(TARGETS[name]) for name in ("x86-64", "x86-64-v3", "aarch64", "riscv64", "wasm32")},
+    # the ABI is the same, but a function that asks for a large stack does so by a name that can be chosen
+    **{
+        name: Exported(replace(TARGETS[name], triple="x86_64-pc-windows-gnu"))
+        for name in ("windows-x86-64", "windows-x86-64-v3")
+    },
+    **{name: Exported(TARGETS[name]) for name in ("macos-aarch64", "macos-x86-64", "macos-x86-64-v3")},
+    "cortex-m7": Exported(Target("thumbv7em-unknown-none-eabihf", "cortex-m7"), True, _WHOLE_NUMBERS),
+    "cortex-m33": Exported(
+        Target("thumbv8m.main-unknown-none-eabi", "cortex-m33", "-fpregs", tuple(SOFT)), True, _WHOLE_NUMBERS + _DOUBLES
+    ),
+}
+
+
+def shipped(own: list[str], portable: bool) -> list[str]:
+    """What is made with the libraries of these names: all that a wheel has, or what this processor runs."""
+    fits = [each for each in EXPORTS if each in own or f"{each.removesuffix('-v3')}-v4" in own]
+    return [*fits, "wasm32"] if portable else fits[-1:]
+
+
+def archive(folder: Path) -> Path:
+    """Pack all that is exported into a folder; what lies in a wheel is in it too.
+
+    The same object files give the same bytes.
+    """
+    named = f"adaptrack-targets-{version('adaptrack')}"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{named}.tar.gz"
+    listed = library.manifest()
+    entries = {name: listed["exports"][name] for name in EXPORTS if name in listed["exports"]}
+    files = {each["file"]: library.whole(each).read_bytes() for each in entries.values()}
+    files[library.MANIFEST] = json.dumps({"sources": listed["sources"], "exports": entries}, indent=1).encode()
+    files["LICENSE"] = (library.PACKAGE.parents[1] / "LICENSE").read_bytes()
+    with gzip.GzipFile(path, "wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as tar:
+        for name, content in sorted(files.items()):
+            entry = tarfile.TarInfo(f"{named}/{name}")
+            entry.size, entry.mode = len(content), 0o644
+            tar.addfile(entry, io.BytesIO(content))
+    return path
+
+
+def emit_export(text: str, name: str) -> bytes:
+    """The object file for a target, of a module of all kernels.
+
+    Raises BuildError where it calls what it may not.
+    """
+    chosen = EXPORTS[name]
+    target = chosen.target
+    machine, text = retargeted(text, target, "pic" if _hosted(target) else "static")
+    module = _of_these(text, target, chosen.compact, machine)
+    optimised(module, machine, speed=2 if chosen.compact else 3, vectors=not chosen.compact)
+    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(str(module), target))))
+    left = [each for each in undefined(content) if each not in chosen.calls]
+    if left:
+        raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
+    return content
+
+
+def _hosted(target: Target) -> bool:
+    return not re.search("none|wasm", target.triple)
+
+
+def _of_these(text: str, target: Target, compact: bool, machine: Any) -> Any:
+    """The module of `KERNELS` and what they call, ready to be optimised."""
+    if compact:
+        text = text.replace(" alwaysinline", " nounwind")
+    text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
+    text += "".join(f"declare double @adaptrack_soft_{each}({', '.join(['double'] * SOFT[each])})\n"
+                    for each in target.lacks if f"@adaptrack_soft_{each}(" not in text)  # fmt: skip
+    for each in target.lacks:  # C's function of this name, for this module alone, and only if it is called
+        taken = [f"double %x{i}" for i in range(SOFT[each])]
+        text += f"define internal double @{each}({', '.join(taken)}) noinline {{\n"
+        text += f"  %y = call double @adaptrack_soft_{each}({', '.join(taken)})\n  ret double %y\n}}\n"
+    if target.lacks:
+        kept = ", ".join(f"ptr @{each}" for each in target.lacks)
+        text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept}]"
+        text += ', section "llvm.metadata"\n'
+    attributes = '"no-builtins" "no-jump-tables"="true" nounwind' + (" optsize" if compact else "")
+    if "windows" in target.triple:
+        attributes += ' "probe-stack"="adaptrack_grow_stack"'
+        text += re.sub(r"module asm \"\.globl.*\n", "", WINDOWS.split("@_fltused")[0]).replace(
+            "__chkstk", "adaptrack_grow_stack")  # fmt: skip
+    module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", rf"\1 {attributes} {{", text, flags=re.MULTILINE))
+    names = {f"adaptrack_{each}" for each in KERNELS}
+    for function in module.functions:
+        if not function.is_declaration:
+            function.linkage = "external" if function.name in names else "internal"
+            if function.name.startswith("_ZN"):
+                function.name = _plain(function.name)
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    return module
+
+
+def _plain(name: str) -> str:
+    """The file and the function of a name that numba has made: those are hundreds of bytes long."""
+    parts, at = [], len("_ZN")
+    while digits := re.match(r"\d+", name[at:]):
+        begin = at + digits.end()
+        at = begin + int(digits[0])
+        parts.append(name[begin:at])
+    return ".".join(parts[-2:])
+
+
+def _in_sections(text: str, target: Target) -> str:
+    """A module with a section for each function and constant; for WebAssembly and macOS they are apart as they are."""
+    if re.search("wasm|macosx", target.triple):
+        return text
+    apart = "$" if "windows" in target.triple else "."
+    names: set[str] = set()
+
+    def placed(found: re.Match[str], kind: str, comdat: str) -> str:
+        names.add(found["name"])
+        named = found["name"].strip('"')
+        comma = "," if kind != ".text" else ""
+        return f'{found["all"]}{comma} section "{kind}{apart}{named}"{comdat if apart == "$" else ""}{found["rest"]}'
+
+    name = r'(?P<name>"[^"]+"|[-\w.$]+)'
+    function = rf"^(?P<all>define [^@]*@{name}\(.*\).*?)(?P<rest>( personality.*)? \{{)$"
+    text = re.sub(function, lambda found: placed(found, ".text", " comdat"), text, flags=re.MULTILINE)
+    words = "(?:local_unnamed_addr |unnamed_addr )*"
+    constant = rf"^(?P<all>@{name} = (?:internal|private) {words}constant .*?)(?P<rest>(, align \d+)?)$"
+    kind = ".rdata" if apart == "$" else ".rodata"
+    text = re.sub(constant, lambda found: placed(found, kind, ", comdat"), text, flags=re.MULTILINE)
+    if apart == "$":
+        first = text.index("\n", text.index("target triple")) + 1
+        text = text[:first] + "".join(f"${each} = comdat nodeduplicate\n" for each in sorted(names)) + text[first:]
+    return text

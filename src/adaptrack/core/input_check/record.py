@@ -1,0 +1,138 @@
+"""What a check of a loop's inputs knows of the car, what it remembers, and the mistakes that it knows."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from ..kernel import columns, exported, float64, inlined, int64, record, size_of, vector, viewer, void
+
+TICK, WINDOW, TICKS = 0.095, 4, 5
+"""s, between two looks at the samples; looks that a window spans, and that are kept."""
+LONGEST = 1.2
+"""s, of a window; after a gap the comparison goes on behind it."""
+SLOW = 3.0
+"""m/s: slower, nothing is compared."""
+POSITION = 0.045
+"""m, noise of a difference of two positions."""
+DELAYS, DELAY = 7, 0.1
+"""How many delays between a command and the turning of the car are tried, and their distance (s)."""
+REQUESTED, CLOSEST = 64, 0.02
+"""Commands that are kept; s, between two of them: what comes sooner replaces the last one."""
+COURSES = 10
+"""Directions of motion that are kept, with the yaw."""
+
+MISTAKES = columns(
+    "time_in_milliseconds", "time_in_microseconds", "time_in_nanoseconds",
+    "speed_of_no_car", "speed_in_km_h", "speed_in_miles_h", "speed_unit",
+    "speed_late",
+    "yaw_in_degrees", "y_mirrored", "yaw_from_north", "yaw_from_north_in_degrees", "yaw_quarter_too_large",
+    "yaw_quarter_too_small", "yaw_half_turn_off", "frames_differ", "yaw_in_degrees_by_its_rate",
+    "yaw_late",
+    "yaw_rate_sign", "yaw_rate_in_degrees", "yaw_rate_unit", "yaw_rate_taken_for_degrees",
+    "lateral_velocity_sign",
+    "position_of_rear_axle", "position_of_front_axle",
+    "lateral_acceleration_sign", "lateral_acceleration_in_g",
+    "wheel_angle_sign", "wheel_angle_in_degrees", "wheel_angle_of_steering_wheel",
+    "steering_sign", "command_too_small", "command_too_large",
+)  # fmt: skip
+"""Bits of `Memory.suspect`: known mistakes of the inputs."""
+_FIRST = (
+    MISTAKES.time_in_milliseconds, MISTAKES.speed_of_no_car, MISTAKES.speed_late, MISTAKES.yaw_in_degrees,
+    MISTAKES.yaw_late, MISTAKES.yaw_rate_sign, MISTAKES.lateral_velocity_sign, MISTAKES.position_of_rear_axle,
+    MISTAKES.lateral_acceleration_sign, MISTAKES.wheel_angle_sign, MISTAKES.steering_sign, len(MISTAKES),
+)  # fmt: skip
+SUBJECTS = columns("time", "speed", "speed_late", "course", "yaw_late", "yaw_rate", "lateral", "point", "pull", "wheel",
+                   "steering")  # fmt: skip
+"""What mistakes are about: of each subject one is named."""
+ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
+"""The bits of each subject."""
+NUMBERS = 3
+"""Measured numbers that go with a mistake, at most."""
+
+COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering")
+"""The comparisons."""
+SAMPLE = columns(
+    "t",  # s, when it was taken
+    "now",  # s, of the call, on the same clock
+    "x", "y",  # m, m
+    "yaw",  # rad
+    "speed",  # m/s, along the car
+    "yaw_rate",  # rad/s
+    "vy",  # m/s
+    "lateral_acceleration",  # m/s^2
+    "wheel_angle",  # rad, of the road wheels
+)  # fmt: skip
+"""A call of the loop; NaN: not known."""
+
+Settings = record("Settings", (
+    "period",  # s, of the loop; NaN: not known
+    "known",  # 1 where the car is
+    "lf", "lr",  # m, m: from the centre of mass to the axles
+    "length", "gradient",  # m, s^2/m: a steady turn has the yaw rate angle speed/(length + gradient speed^2)
+    "slip",  # s^2 m^-1 m: sideways speed by the slip of the rear tyres over yaw rate times speed^2
+))  # fmt: skip
+"""What a check knows of the loop and its car."""
+settings_of = viewer(Settings)
+
+T = columns("t", "time", "x", "y", "yaw", "speed", "turned", "way", "yaw_rate", "vy", "pull", "wheel")
+"""The car at a look, and means and changes since the look before: turned (rad), of the yaw; way (m), by the speed."""
+Memory = record("Memory", (
+    ("suspect", int64),  # bits of `MISTAKES`: those named so far
+    ("against_steering", int64),  # 1: the car turns against its commands
+    ("sliding", int64),  # 1: the car slides
+    "sideslip",  # rad; NaN: not known
+    ("told", (float64, len(SUBJECTS), NUMBERS)),  # what was measured where a mistake was named
+    "now", "t", "begun_at", "tick",  # s: the last call, sample, beginning of the commands and look
+    ("pose", (float64, 3)),  # of the last call
+    ("last", (float64, 5)),  # speed, yaw rate, v_y, lateral acceleration and wheel angle of the last sample
+    "summed", ("sums", (float64, 5)),  # s since the last look, and their integrals
+    ("tick_count", int64), ("ticks", (float64, TICKS, len(T))),  # looks, the last one at the end
+    "command", "lagged", ("begun_with", (float64, 2)),  # rad; behind the lag; turning and angle at the beginning
+    ("request_count", int64), ("request", int64), ("requests", (float64, REQUESTED, 3)),  # time, integrals of both
+    ("steps", int64), ("jumped", int64), ("askew", int64), ("degrees", int64),  # looks in a row at a mistake
+    ("agreed", int64), ("confirmed", int64),  # looks at which positions move along the yaw; whether in bends, too
+    "origin", "yaw_least", "yaw_most",  # rad
+    ("course_count", int64), ("course", int64), ("courses", (float64, COURSES, 2)),
+    "mounting", ("straight", int64),  # rad, of positions beside the yaw on the straight; looks
+    ("slips", int64), "calm",  # looks at which the car slides; s, since it no longer does
+    ("seconds", (float64, len(COMPARED))), ("count", (float64, len(COMPARED))),  # of each comparison, see `Finding`
+    ("repeated", (int64, len(COMPARED))), ("usual", (int64, len(COMPARED))), ("label", (int64, len(COMPARED))),
+    ("grams", (float64, len(COMPARED) - 2, 5, 5)),  # of the regressions
+    ("delayed", (float64, 2, DELAYS + 1, 11)),  # of those with a delay
+))  # fmt: skip
+"""All that a check remembers."""
+memory_of = viewer(Memory)
+MEMORY_SIZE, SETTINGS_SIZE = size_of(Memory), size_of(Settings)
+
+Check = record("Check", (("settings", vector), ("memory", vector)))
+"""A check of the inputs of a loop: `Settings` and `Memory`, as numbers in a row."""
+
+
+@inlined
+def say(own, subject, mistake, a, b, c):
+    """Name a mistake, unless one of its subject has been named; with what was measured."""
+    if own.suspect & ABOUT[subject] == 0:
+        own.suspect |= 1 << mistake
+        own.told[subject, 0], own.told[subject, 1], own.told[subject, 2] = a, b, c
+
+
+@inlined
+def named(own, subject):
+    """Whether a mistake of a subject has been named."""
+    return own.suspect & ABOUT[subject] != 0
+
+
+@exported(void(float64, float64, float64, float64, float64, float64, vector))
+def check_settings(mass, lf, lr, stiffness_front, stiffness_rear, period, settings):
+    """Write `Settings` of a car; mass 0: one that is not known, of which only signs and units are compared.
+
+    stiffness: N/rad of a tyre, two on an axle. The turning is that of Rajamani, 2nd ed., section 3.3.
+    """
+    to = settings_of(settings, 0)
+    to.period = period
+    if mass > 0.0:
+        to.known, to.lf, to.lr, to.length = 1.0, lf, lr, lf + lr
+        to.gradient = 0.5 * mass / (lf + lr) * (lr / stiffness_front - lf / stiffness_rear)
+        to.slip = 0.5 * mass * lf / (stiffness_rear * (lf + lr))
+    else:
+        to.known, to.lf, to.lr, to.length, to.gradient, to.slip = 0.0, 1.3, 1.5, 2.8, 0.0, 0.0

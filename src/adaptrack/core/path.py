@@ -1,0 +1,444 @@
+"""A centre line through points without noise, such as a planner publishes, in memory of the caller.
+
+A cubic spline over the length of the points' polygon, its third derivative continuous at the second point and at the
+last but one ("not a knot"), or periodic: it goes through every point, with continuous curvature (C. de Boor, A
+Practical Guide to Splines, 1978, chapter IV). From point to point it becomes pieces of `core.road`: polynomials of its
+arc length. The speed |dc/dz| over a range of the parameter z is interpolated at Chebyshev nodes and integrated, the
+arc lengths of the nodes of a piece are found by Newton's method, and position and heading are interpolated there. A
+piece that misses the cubic by more than `FIT` between its nodes, or turns by more than 1 rad, is halved.
+
+The memory then holds a road alone as `core.road.Roads` has it: its numbers, pieces, where they begin, and headings.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .kernel import boolean, exported, inlined, int64, local, matrix, several, shaped, vector, void
+from .maths.bits import whole
+from .maths.exact import ceil, floor, sqrt
+from .maths.exponential import hypot
+from .maths.trigonometric import arctangent_of_ratio, atan2
+from .road import (
+    ACROSS,
+    ALONG,
+    CLOSED,
+    COS,
+    COUNT,
+    DEGREE,
+    FIRST_HEADING,
+    FIRST_PIECE,
+    FIRST_START,
+    HALF,
+    HEADING,
+    HEADING_SPACING,
+    LAP_TURN,
+    LENGTH,
+    MOST_CURVATURE,
+    NUMBERS,
+    SIN,
+    TURNED,
+    Centreline,
+    X,
+    Y,
+    headings_along,
+)
+
+OK, TOO_FEW, NOT_FINITE, TOO_FAR, TWICE, TOO_SHORT, KINK, TOO_SMALL = range(8)
+"""What `path_through` answers: a path; fewer points than `FEWEST`; a number that is none; a coordinate beyond
+`FARTHEST`, or a point farther than `WIDEST` from the next one; a point that comes twice in a row (within `SAME`); a
+line shorter than `SHORTEST`; points that fold back on themselves; a memory that is too small."""
+FEWEST, FARTHEST, WIDEST, SAME, SHORTEST = 4, 1e8, 1e4, 1e-6, 0.01
+"""Points, m, m, m, m."""
+
+COLUMNS = TURNED + DEGREE + 1
+"""Of a piece."""
+SPACING = 0.5
+"""m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
+STRAIGHTER = 1.25
+"""Times the length of their polygon that a path is expected to be long at most."""
+SCRATCH = 5
+"""Numbers for each point that are needed while a path is made."""
+TURN = 1.0
+"""rad, the largest turn of a piece: the remainder of its polynomials is then below 1e-16 of the length for an arc."""
+FIT, CURVATURE_FIT, ROUNDING = 1e-11, 1e-9, 1e-12
+"""Largest errors of a piece: of its position, as a share of its length (or of 1 m); of its curvature, as a share of it
+(or of 0.1/m); and of its heading (rad) by rounding."""
+HALVINGS = 12
+"""Of the way from a point to the next, before there counts as being a kink."""
+JOINT = 1e-6
+"""rad, the largest jump of the heading between two pieces, which rounding leaves."""
+NEWTON = 7
+"""Steps; each squares the error, which begins within 1."""
+
+NODES = DEGREE + 1
+_GRID = 2**20
+_CHEBYSHEV = [round(-math.cos(math.pi * (k + 0.5) / NODES) * _GRID) for k in range(NODES)]  # of few digits: exact
+_PLACES = np.array([k / _GRID for k in _CHEBYSHEV] + [0.0, -1.0, -0.93, -0.55, 0.21, 0.62, 0.96, 1.0])
+"""Where a piece is looked at, -1 to 1: at its nodes, in its middle, and where else its fit is tested."""
+_COUNT, _MIDDLE = _PLACES.size, NODES
+
+
+def _lagrange(k):
+    """The coefficients of the polynomial that is 1 at a node and 0 at the others; of whole numbers, rounded once."""
+    product, scale = [1], 1
+    for other in _CHEBYSHEV[:k] + _CHEBYSHEV[k + 1 :]:
+        product = [a - other * b for a, b in zip([0, *product], [*product, 0], strict=True)]
+        scale *= _CHEBYSHEV[k] - other
+    return [each * _GRID**j / scale for j, each in enumerate(product)]
+
+
+_BASIS = np.array([_lagrange(k) for k in range(NODES)])
+_at_places, _of_nodes, _three = local(_COUNT), local(NODES), local(3)
+
+
+# -- the memory -------------------------------------------------------------------------------------------------------
+@inlined
+def cells_of(length):
+    """Between the headings of a path of some length (m)."""
+    return max(1, whole(ceil(length / SPACING)))
+
+
+@exported(int64(matrix, boolean))
+def path_words(points, closed):
+    """How many numbers of memory are enough for a path through points (n, 2); 0 for too few of them.
+
+    For every step a piece, and a fourth more: enough where bends between two points are below about 1 rad.
+    """
+    count, length = len(points), 0.0
+    if count < FEWEST or points.shape[1] < 2:
+        return 0
+    for k in range(count if closed else count - 1):
+        dx, dy = _step(points, k)
+        length += hypot(dx, dy)
+    cells = cells_of(STRAIGHTER * length if length <= WIDEST * count else 0.0)  # else `path_through` says what is wrong
+    return SCRATCH * count + words_of(count + count // 4 + 16, cells)
+
+
+@inlined
+def words_of(count, cells):
+    """The numbers of a path of so many pieces, and cells between headings."""
+    return len(NUMBERS) + COLUMNS * count + count + 1 + cells + 1
+
+
+@inlined
+def line_in(memory):
+    """The centre line, and the table of headings, of the path that a memory holds."""
+    first = len(NUMBERS)
+    count, cells = whole(memory[COUNT]), cells_of(memory[LENGTH])
+    start = first + COLUMNS * count
+    headings = start + count + 1
+    line = Centreline(memory[start:headings], shaped(memory[first:start], count, COLUMNS), memory[:first])
+    return line, memory[headings : headings + cells + 1]
+
+
+# -- the spline -------------------------------------------------------------------------------------------------------
+@inlined
+def _step(points, k):
+    """From a point to the next one, that of the last being the first: m, m."""
+    after = k + 1 if k + 1 < len(points) else 0
+    return points[after, 0] - points[k, 0], points[after, 1] - points[k, 1]
+
+
+@inlined
+def _flaw(points, closed, lengths):
+    """`OK`, or what is wrong with points, and where; writes the lengths (m) of the steps."""
+    count = len(points)
+    if count < FEWEST or points.shape[1] < 2:
+        return TOO_FEW, count
+    for k in range(count):
+        size = max(abs(points[k, 0]), abs(points[k, 1]))
+        if not abs(points[k, 0]) + abs(points[k, 1]) < math.inf:
+            return NOT_FINITE, k
+        if size > FARTHEST:
+            return TOO_FAR, k
+    total = 0.0
+    for k in range(count if closed else count - 1):
+        dx, dy = _step(points, k)
+        lengths[k] = hypot(dx, dy)
+        if lengths[k] > WIDEST:
+            return TOO_FAR, k
+        if lengths[k] <= SAME:
+            return TWICE, k
+        total += lengths[k]
+    return (TOO_SHORT if total < SHORTEST else OK), 0
+
+
+@inlined
+def _condition(points, closed, lengths, k):
+    """An equation of the slopes (dx/ds, dy/ds) at a point, the one before it and the one after: their factors, and x
+    and y of the right side: continuous curvature, or at an end no knot at the point beside it.
+    """
+    last = len(points) - 1
+    if closed or 0 < k < last:
+        before = k - 1 if k > 0 else last
+        h, g = lengths[before], lengths[k]
+        (ax, ay), (bx, by) = _step(points, before), _step(points, k)
+        below, above = 3.0 * g / h, 3.0 * h / g
+        return g, 2.0 * (h + g), h, below * ax + above * bx, below * ay + above * by
+    near, far = (0, 1) if k == 0 else (last - 1, last - 2)
+    h, g = lengths[near], lengths[far]
+    (ax, ay), (bx, by) = _step(points, near), _step(points, far)
+    both = h + g
+    first, second = (h + 2.0 * both) * g / (both * h), h * h / (both * g)
+    beside = 0.0 if k == 0 else both
+    return beside, g, both - beside, first * ax + second * bx, first * ay + second * by
+
+
+@inlined
+def _write_slopes(points, closed, lengths, upper, x, y, border):
+    """Write the slopes at the points to x and y: by elimination, of a lap with the last slope as a border."""
+    count = len(points)
+    rows = count - 1 if closed else count
+    last = rows - 1
+    for k in range(rows):
+        below, on, above, right_x, right_y = _condition(points, closed, lengths, k)
+        edge = 0.0
+        if closed and k == 0:
+            edge, below = -below, 0.0
+        if closed and k == last:
+            edge, above = edge - above, 0.0
+        if k > 0:
+            on -= below * upper[k - 1]
+            right_x, right_y = right_x - below * x[k - 1], right_y - below * y[k - 1]
+            edge -= below * border[k - 1]
+        upper[k], border[k] = above / on, edge / on
+        x[k], y[k] = right_x / on, right_y / on
+    for k in range(last - 1, -1, -1):
+        x[k], y[k] = x[k] - upper[k] * x[k + 1], y[k] - upper[k] * y[k + 1]
+        border[k] -= upper[k] * border[k + 1]
+    if closed:
+        below, on, above, right_x, right_y = _condition(points, closed, lengths, rows)
+        on += below * border[last] + above * border[0]
+        x[rows] = (right_x - below * x[last] - above * x[0]) / on
+        y[rows] = (right_y - below * y[last] - above * y[0]) / on
+        for k in range(rows):
+            x[k] += border[k] * x[rows]
+            y[k] += border[k] * y[rows]
+
+
+# -- a piece of it ----------------------------------------------------------------------------------------------------
+@inlined
+def _value(coefficients, u):
+    """A polynomial at u."""
+    value = coefficients[DEGREE]
+    for k in range(DEGREE - 1, -1, -1):
+        value = value * u + coefficients[k]
+    return value
+
+
+@inlined
+def _interpolate(values, coefficients):
+    """Write the coefficients of the polynomial through values at the nodes."""
+    for j in range(NODES):
+        coefficients[j] = 0.0
+    for k in range(NODES):
+        for j in range(NODES):
+            coefficients[j] += values[k] * _BASIS[k, j]
+
+
+@inlined
+def _write_places(x, y, z):
+    """Write the parameters z, -1 to 1, of the places by arc length of a curve dx/dz = x1 + x2 z + x3 z^2, likewise y.
+
+    Half of its length (m), and the largest error of that length (m), which counts Newton's last step in.
+    """
+    speed, rate, step = _at_places(), _of_nodes(), _at_places()
+    for k in range(_COUNT):
+        u = _PLACES[k]
+        dx, dy = x[0] + u * (x[1] + u * x[2]), y[0] + u * (y[1] + u * y[2])
+        speed[k] = sqrt(dx * dx + dy * dy)
+        z[k] = u
+    _interpolate(speed, rate)
+    error = half = middle = 0.0
+    for k in range(NODES, _COUNT):
+        error = max(error, 2.0 * abs(_value(rate, _PLACES[k]) - speed[k]))
+    for k in range(NODES):  # the length from 0 to z is the sum of rate z^(k+1)/(k+1)
+        even = k % 2 == 0
+        half += rate[k] / (k + 1) if even else 0.0
+        middle += 0.0 if even else rate[k] / (k + 1)
+    for _ in range(NEWTON):
+        for k in range(_COUNT):
+            way = slope = 0.0
+            for j in range(DEGREE, -1, -1):
+                way = way * z[k] + rate[j] / (j + 1)
+                slope = slope * z[k] + rate[j]
+            step[k] = (middle + half * _PLACES[k] - way * z[k]) / slope
+            z[k] += step[k]
+    for k in range(_COUNT):
+        error = max(error, abs(step[k]) * half) if abs(z[k]) < 2.0 else math.inf
+    return half, error
+
+
+@inlined
+def _write_piece(x1, x2, x3, y1, y2, y3, piece):
+    """Write a piece of the curve x1 z + x2 z^2 + x3 z^3, -1 <= z <= 1, likewise y, that lies about the curve's place
+    at z = 0; whether it fits.
+    """
+    z, slopes_x, slopes_y = _at_places(), _three(), _three()
+    slopes_x[0], slopes_x[1], slopes_x[2] = x1, 2.0 * x2, 3.0 * x3
+    slopes_y[0], slopes_y[1], slopes_y[2] = y1, 2.0 * y2, 3.0 * y3
+    half, error = _write_places(slopes_x, slopes_y, z)
+    reach = max(2.0 * half, 1.0)
+    if not (half > 0.0 and error <= FIT * reach):
+        return False
+    # about its middle, z = m, along the tangent there: a z + b z^2 + c z^3 and d z^2 + e z^3
+    m = z[_MIDDLE]
+    tx, ty = x1 + m * (2.0 * x2 + 3.0 * m * x3), y1 + m * (2.0 * y2 + 3.0 * m * y3)
+    a = sqrt(tx * tx + ty * ty)
+    if not a > 0.0:
+        return False
+    cosine, sine = tx / a, ty / a
+    bend_x, bend_y = x2 + 3.0 * m * x3, y2 + 3.0 * m * y3
+    b, d = cosine * bend_x + sine * bend_y, cosine * bend_y - sine * bend_x
+    c, e = cosine * x3 + sine * y3, cosine * y3 - sine * x3
+    along, across, turned, curvature = _at_places(), _at_places(), _at_places(), _at_places()
+    for k in range(_COUNT):
+        u = z[k] - m
+        along[k], across[k] = u * (a + u * (b + u * c)), u * u * (d + u * e)
+        ahead, aside = a + u * (2.0 * b + 3.0 * u * c), u * (2.0 * d + 3.0 * u * e)
+        if not ahead > 0.0:
+            return False
+        turned[k] = arctangent_of_ratio(aside, ahead)
+        if not abs(turned[k]) <= TURN:
+            return False
+        square = ahead * ahead + aside * aside
+        curvature[k] = (ahead * (2.0 * d + 6.0 * u * e) - aside * (2.0 * b + 6.0 * u * c)) / (square * sqrt(square))
+    _interpolate(along, piece[ALONG:ACROSS])
+    _interpolate(across, piece[ACROSS:TURNED])
+    _interpolate(turned, piece[TURNED:COLUMNS])
+    piece[ALONG] = piece[ACROSS] = piece[TURNED] = 0.0  # the frame is at the middle
+    for k in range(NODES, _COUNT):
+        u = _PLACES[k]
+        off_x, off_y = _value(piece[ALONG:ACROSS], u) - along[k], _value(piece[ACROSS:TURNED], u) - across[k]
+        if not off_x * off_x + off_y * off_y <= (FIT * reach) * (FIT * reach):
+            return False
+        bent = 0.0
+        for j in range(DEGREE, 0, -1):
+            bent = bent * u + j * piece[TURNED + j]
+        allowed = CURVATURE_FIT * (abs(curvature[k]) + 0.1) + ROUNDING / (2.0 * half)
+        if not abs(bent / half - curvature[k]) <= allowed:
+            return False
+    piece[HALF], piece[COS], piece[SIN], piece[HEADING] = half, cosine, sine, atan2(sine, cosine)
+    piece[X], piece[Y] = m * (x1 + m * (x2 + m * x3)), m * (y1 + m * (y2 + m * y3))
+    return True
+
+
+# -- the path ---------------------------------------------------------------------------------------------------------
+@inlined
+def _heading_at(piece, u):
+    """rad, of the end of a piece."""
+    return piece[HEADING] + _value(piece[TURNED:COLUMNS], u)
+
+
+@inlined
+def _turns(angle):
+    """The whole turns (rad) that are nearest to an angle."""
+    return 2.0 * math.pi * floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@inlined
+def _jump(before, after):
+    """rad, by which the heading of a piece begins beyond the end of another."""
+    return _heading_at(after, -1.0) - _heading_at(before, 1.0)
+
+
+@inlined
+def _kinked(jump):
+    """Whether a jump of the heading is more than whole turns."""
+    return not abs(jump - _turns(jump)) <= JOINT
+
+
+@inlined
+def _write_step(x, y, begin_x, begin_y, end_x, end_y, pieces, first):
+    """Write the pieces of a step (x, y) from (0, 0), of slopes at its begin and end (m); halved until its parts fit.
+
+    `OK` and the number of the next piece; or what is wrong.
+    """
+    x2, x3 = 3.0 * x - (2.0 * begin_x + end_x), begin_x + end_x - 2.0 * x
+    y2, y3 = 3.0 * y - (2.0 * begin_y + end_y), begin_y + end_y - 2.0 * y
+    made, part, level, w = first, 0, 0, 0.5
+    while level > 0 or part == 0:
+        if made == len(pieces):
+            return TOO_SMALL, made
+        p, piece = (2 * part + 1) * w, pieces[made]
+        fits = _write_piece(
+            w * (begin_x + p * (2.0 * x2 + 3.0 * p * x3)), w * w * (x2 + 3.0 * p * x3), w * w * w * x3,
+            w * (begin_y + p * (2.0 * y2 + 3.0 * p * y3)), w * w * (y2 + 3.0 * p * y3), w * w * w * y3, piece,
+        )  # fmt: skip
+        if not fits:
+            if level == HALVINGS:
+                return KINK, made
+            part, level, w = 2 * part, level + 1, 0.5 * w
+            continue
+        piece[X] += p * (begin_x + p * (x2 + p * x3))
+        piece[Y] += p * (begin_y + p * (y2 + p * y3))
+        if made > 0:
+            jump = _jump(pieces[made - 1], piece)
+            piece[HEADING] -= _turns(jump)
+            if _kinked(jump):
+                return KINK, made
+        made, part = made + 1, part + 1
+        while level > 0 and part % 2 == 0:
+            part, level, w = part // 2, level - 1, 2.0 * w
+    return OK, made
+
+
+@exported(void(vector, matrix, boolean, vector))
+def line_numbers(start, pieces, closed, numbers):
+    """Write the numbers of a `Centreline`: length, whether closed, growth of the heading in a lap, most curvature."""
+    last, most = len(pieces) - 1, 0.0
+    for row in range(last + 1):
+        slopes = 0.0
+        for j in range(1, DEGREE + 1):
+            slopes += j * abs(pieces[row, TURNED + j])
+        most = max(most, slopes / pieces[row, HALF])
+    numbers[LENGTH], numbers[CLOSED], numbers[MOST_CURVATURE] = start[last + 1], 1.0 if closed else 0.0, most
+    numbers[LAP_TURN] = -_turns(_jump(pieces[last], pieces[0])) if closed else 0.0
+
+
+@exported(several(int64, int64)(matrix, boolean, vector))
+def path_through(points, closed, memory):
+    """Make the path through points (n, 2) of x, y (m), a lap if `closed`: it then ends before its start.
+
+    `OK` and the number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the
+    memory then holds is to be used.
+    """
+    count = len(points)
+    scratch = memory.size - SCRATCH * count
+    room = min((scratch - len(NUMBERS)) // COLUMNS, (memory.size - words_of(0, 1)) // (COLUMNS + 1))
+    if count >= FEWEST and room < count:
+        return TOO_SMALL, 0
+    lengths, x, y = memory[scratch:], memory[scratch + count :], memory[scratch + 2 * count :]
+    status, flaw = _flaw(points, closed, lengths)
+    if status != OK:
+        return status, flaw
+    _write_slopes(points, closed, lengths, memory[scratch + 3 * count :], x, y, memory[scratch + 4 * count :])
+    pieces = shaped(memory[len(NUMBERS) : len(NUMBERS) + COLUMNS * room], room, COLUMNS)
+    made = 0
+    for k in range(count if closed else count - 1):
+        after, h = k + 1 if k + 1 < count else 0, lengths[k]
+        dx, dy = _step(points, k)
+        first = made
+        status, made = _write_step(dx, dy, h * x[k], h * y[k], h * x[after], h * y[after], pieces, first)
+        if status != OK:
+            return status, k
+        for row in range(first, made):
+            pieces[row, X], pieces[row, Y] = points[k, 0] + pieces[row, X], points[k, 1] + pieces[row, Y]
+    if closed and _kinked(_jump(pieces[made - 1], pieces[0])):
+        return KINK, 0
+    start = memory[len(NUMBERS) + COLUMNS * made :]
+    start[0] = 0.0
+    for row in range(made):
+        start[row + 1] = start[row] + 2.0 * pieces[row, HALF]
+    cells = cells_of(start[made])
+    if words_of(made, cells) > memory.size:
+        return TOO_SMALL, count - 1
+    line_numbers(start[: made + 1], pieces[:made], closed, memory)
+    memory[FIRST_START] = memory[FIRST_PIECE] = memory[FIRST_HEADING] = 0.0
+    memory[COUNT], memory[HEADING_SPACING] = made, start[made] / cells
+    line, headings = line_in(memory)
+    headings_along(line, headings)
+    return OK, made

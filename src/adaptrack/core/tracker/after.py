@@ -1,0 +1,56 @@
+"""After the controller: its command, and what the instant was."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Place, exported, inlined, void
+from .place import beside, hold, is_beyond, pose_of
+from .records import (
+    ANSWER,
+    END,
+    ESTIMATED,
+    HELD,
+    OFF_PATH,
+    OK,
+    STANDING,
+    STANDS,
+    Tracker,
+)
+
+
+@exported(void(Place(Tracker)))
+def tracker_after(tracker):
+    """Take in the controller's answer (`tracker.answer`) at an instant; nothing where none is waited for.
+
+    A command that is no number holds the last one.
+    """
+    m, answer = tracker.memory[0], tracker.answer
+    if m.waiting == 0:
+        return
+    m.waiting, held = 0, m.command
+    usable = math.isfinite(answer[ANSWER.command])
+    m.command = answer[ANSWER.command] if usable else held
+    m.belief_state, m.belief_at_bound = answer[ANSWER.belief_state], answer[ANSWER.belief_at_bound]
+    here = beside(tracker, pose_of(m), m.station)
+    m.offset, m.heading_error = here.offset, here.heading_error
+    m.status, m.answered = _status(tracker, m, not usable or answer[ANSWER.held] > 0.5), 1
+    m.due -= 1
+    if m.due > 0:  # at an instant without a call nothing was sent
+        hold(tracker, m, held)
+
+
+@inlined
+def _status(tracker, m, held):
+    """What an instant was."""
+    if m.offset != m.offset:
+        return OFF_PATH
+    if held:
+        return HELD
+    if m.speed < STANDING:
+        return STANDS
+    if not abs(m.offset) <= tracker.settings[0].furthest:
+        return OFF_PATH
+    if is_beyond(tracker, m.station):
+        return END
+    return OK if m.fresh > 0 else ESTIMATED

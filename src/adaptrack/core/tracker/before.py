@@ -1,0 +1,191 @@
+"""Before the controller: the next instant of a call, what is measured there, and the road ahead."""
+
+from __future__ import annotations
+
+import math
+
+from ..input_check.call import check_call
+from ..input_check.record import memory_of
+from ..kernel import Place, exported, inlined, int64
+from ..maths.exact import clip
+from ..models.contract import MEASURED
+from ..road import CLOSED, foot_near, point_at
+from ..speed_plan import planned_speeds
+from .place import (
+    beside,
+    carried,
+    forward,
+    has_position,
+    hold,
+    keep_pose,
+    line,
+    pose_of,
+    sampled_pose,
+    tell,
+    time_of,
+)
+from .records import (
+    AHEAD,
+    ESTIMATED,
+    HELD,
+    LONGEST_CARRY,
+    LONGEST_GAP,
+    OK,
+    REQUEST,
+    REVERSE,
+    SLIDING,
+    SPEEDS,
+    STANDING,
+    TRACKED,
+    Tracker,
+)
+
+SENSORS = 6
+"""The first of `MEASURED`; their ages follow."""
+LATEST = 0.499
+"""Periods, by which a sample may be later than the last instant that a filter goes through anew."""
+CARRIED = 0.25
+"""Periods, by which what moves the car may be carried: by then it is another."""
+
+
+@exported(int64(Place(Tracker)))
+def tracker_before(tracker):
+    """Go on to the next instant of a call: 1 and what the controller is given there; 0 when the call is over.
+
+    Written are `measured`, `ahead`, `speeds` and, first of all to be done, `request`; at the end `tracked`. A
+    controller that knows no sensors takes the first four of `measured`.
+    """
+    m = tracker.memory[0]
+    if m.waiting > 0:
+        return 1
+    if m.due == 0:
+        if m.open > 0:
+            _end(tracker, m)
+        return 0
+    sampled = m.due == 1  # instants without a call are gone through on the estimate
+    if m.first == 0:
+        _advance(tracker, m, sampled)
+    m.first, m.waiting = 0, 1
+    _measure(tracker, m, sampled)
+    _expect_speeds(tracker, m)
+    return 1
+
+
+@inlined
+def _end(tracker, m):
+    """The end of a call: what its inputs say of each other, and what it gives."""
+    m.open = 0
+    if m.left_out == 0:
+        tracker.tracked[TRACKED.suspect] = check_call(tracker.sample, m.command, tracker.check)
+        _judge(tracker, m)
+    tell(m, tracker.tracked)
+
+
+@inlined
+def _judge(tracker, m):
+    """Let the status say that the car slides; take a command back while the car turns against it."""
+    found, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
+    if found.sliding > 0 and (m.status == OK or m.status == ESTIMATED or m.status == REVERSE):
+        m.status = SLIDING
+    if found.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
+        hold(tracker, m, m.command_before - clip(m.command_before, -move, move))
+        m.status = HELD
+
+
+@inlined
+def _advance(tracker, m, sampled):
+    """Where the car is at the next instant, by the latest sample and its motion since."""
+    settings, own = tracker.settings[0], line(tracker)
+    period, speed = settings.period, forward(m)
+    m.instant += 1
+    if sampled and math.isfinite(m.given_yaw_rate):
+        m.yaw_rate = m.given_yaw_rate
+    else:
+        _, _, _, curvature = point_at(m.station, own)
+        m.yaw_rate = speed * curvature
+    pose = carried(pose_of(m), period, speed, m.yaw_rate)
+    if sampled and has_position(m) and m.given_t > m.newest:
+        age = time_of(m, period) - m.given_t
+        if -period <= age <= settings.late * period + LONGEST_CARRY:
+            pose = carried(sampled_pose(m), age, speed, m.yaw_rate)
+    keep_pose(m, pose)
+    station, offset, heading, _ = foot_near(pose.x, pose.y, m.station + speed * period, own)
+    m.turned = 0.0
+    if offset == offset:
+        m.turned = heading - m.heading
+        m.station, m.heading = station, heading
+
+
+@inlined
+def _measure(tracker, m, sampled):
+    """Write what the controller is given (`MEASURED`)."""
+    settings, measured = tracker.settings[0], tracker.measured
+    for i in range(SENSORS):
+        measured[i] = math.nan
+    measured[MEASURED.pose_age], measured[MEASURED.motion_age], measured[MEASURED.turned] = 0.0, 0.0, m.turned
+    m.fresh = 1 if sampled and _take(tracker, m, measured) else 0
+    if settings.filtered > 0:
+        return
+    drift = measured[MEASURED.vy]
+    for i in range(SENSORS):
+        measured[i] = math.nan
+    if time_of(m, settings.period) - m.newest <= LONGEST_GAP:
+        measured[MEASURED.vy] = drift if math.isfinite(drift) else _steady_drift(m, settings)
+        measured[MEASURED.yaw_rate] = m.yaw_rate
+        here = beside(tracker, pose_of(m), m.station)
+        measured[MEASURED.y], measured[MEASURED.yaw] = here.offset, here.heading_error
+
+
+@inlined
+def _steady_drift(m, settings):
+    """v_y (m/s) of a steady turn, (l_r - m l_f v^2/(2 C_r L)) r; 0 where the car is not known.
+
+    R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.3: the slip of the rear axle.
+    """
+    speed = forward(m)
+    return (settings.drift_arm - settings.drift_load * (speed * speed) / settings.drift_stiffness) * m.yaw_rate
+
+
+@inlined
+def _take(tracker, m, measured):
+    """Write what the sample at hand says and how old it is; whether it has a position that can be used."""
+    settings = tracker.settings[0]
+    period, late = settings.period, settings.late
+    age = time_of(m, period) - m.given_t if math.isfinite(m.given_t) else 0.0
+    declared = clip(age, -0.5 * period, (late + LATEST) * period)
+    carry = age - declared
+    if abs(carry) <= CARRIED * period:
+        measured[MEASURED.vy], measured[MEASURED.yaw_rate] = m.given_vy, m.given_yaw_rate
+        measured[MEASURED.wheel_angle] = m.given_wheel_angle
+        measured[MEASURED.lateral_acceleration] = m.given_lateral_acceleration
+    elif has_position(m):
+        tracker.request[REQUEST.late] = age
+    measured[MEASURED.pose_age] = measured[MEASURED.motion_age] = declared
+    known = m.given_t <= m.newest and m.instant > 0
+    if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (known and late == 0):
+        return False
+    if m.instant > 0:
+        m.newest = max(m.newest, m.given_t)
+    pose = carried(sampled_pose(m), carry, forward(m), m.yaw_rate)
+    there = beside(tracker, pose, m.station - forward(m) * declared)
+    measured[MEASURED.y], measured[MEASURED.yaw] = there.offset, there.heading_error
+    return True
+
+
+@inlined
+def _expect_speeds(tracker, m):
+    """Write the speeds that are expected at the next instants."""
+    speed, speeds, ahead, plan = forward(m), tracker.speeds, tracker.ahead, tracker.plan
+    ahead[AHEAD.speed], ahead[AHEAD.station], ahead[AHEAD.count] = speed, m.station, 1.0
+    speeds[0] = speed
+    if plan.s.size < 2:
+        return
+    step = max(speed, STANDING) * tracker.settings[0].period
+    for i in range(SPEEDS):
+        speeds[i] = m.station + step * i
+    lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0
+    planned_speeds(lap, plan.s, plan.speed, speeds)
+    more = speed - speeds[0]
+    for i in range(SPEEDS):
+        speeds[i] = max(speeds[i] + more, 0.0)
+    ahead[AHEAD.count] = SPEEDS

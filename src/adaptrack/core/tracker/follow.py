@@ -1,0 +1,41 @@
+"""Another path under way."""
+
+from __future__ import annotations
+
+from ..controllers.contract import wrapped
+from ..kernel import Place, exported, float64, inlined, void
+from .place import beside, find_on_path, has_path, pose_of, restart
+from .records import ABSURD, REQUEST, Tracker
+
+
+@exported(void(float64, Place(Tracker)))
+def tracker_follow(near, tracker):
+    """Go over to the path, and the plan, that `tracker` has now in place of another; what is learned of the car stays.
+
+    near: m, the car's foot is looked for within 400 m of this arc length; NaN: on the whole path. The path had better
+    begin behind the car, by the age of the oldest samples at least.
+    """
+    m = tracker.memory[0]
+    m.near, m.due, m.waiting, m.open = near, 0, 0, 0
+    if m.started == 0:
+        return
+    if has_path(tracker):
+        _go_over(tracker, m)
+    else:
+        restart(tracker, m)
+
+
+@inlined
+def _go_over(tracker, m):
+    """Find the car on the path, and say by how much that moves it against the one before."""
+    offset, heading_error = m.offset, m.heading_error
+    find_on_path(tracker, m)
+    here, request = beside(tracker, pose_of(m), m.station), tracker.request
+    m.offset, m.heading_error = here.offset, here.heading_error
+    if abs(here.offset - offset) < ABSURD:
+        more = request[REQUEST.change]  # 1: the controller has not heard yet of the path before
+        request[REQUEST.turned] = wrapped(here.heading_error - heading_error) + more * request[REQUEST.turned]
+        request[REQUEST.shifted] = here.offset - offset + more * request[REQUEST.shifted]
+        request[REQUEST.change] = 1.0
+    else:  # too far from one of them to say by how much
+        restart(tracker, m)

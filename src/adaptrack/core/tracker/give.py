@@ -1,0 +1,187 @@
+"""A call: what it says, which control instants it goes through, and whether the tracker begins with it."""
+
+from __future__ import annotations
+
+import math
+
+from ..input_check.call import begin_check
+from ..kernel import Place, exported, float64, inlined, int64, void
+from ..maths.bits import whole
+from ..maths.exact import floor
+from ..maths.exponential import hypot
+from .place import (
+    begin_anew,
+    carried,
+    find_on_path,
+    forward,
+    has_path,
+    has_position,
+    hold,
+    keep_pose,
+    leave_out_position,
+    nowhere,
+    pose_of,
+    restart,
+    sampled_pose,
+    tell,
+    time_of,
+)
+from .records import (
+    ABSURD,
+    FURTHEST,
+    HELD,
+    JUMPS,
+    LARGEST_JUMP,
+    LONGEST_CARRY,
+    LONGEST_GAP,
+    NO_TIME,
+    REPEATED,
+    REQUEST,
+    REVERSE,
+    SAMPLE,
+    SHARE_OF_LAST,
+    STANDING,
+    TRACKED,
+    UNKNOWN,
+    Tracker,
+)
+
+
+@exported(int64(float64, float64, Place(Tracker)))
+def tracker_engage(angle, near, tracker):
+    """Begin anew, from the angle (rad) that the wheels have: the first command is near it. 1, or 0 if it is no number.
+
+    near: m, the car's foot is looked for within 400 m of this arc length; NaN: on the whole path. After an angle that
+    is no number the tracker is as it was.
+    """
+    if not math.isfinite(angle):
+        return 0
+    m = tracker.memory[0]
+    begin_anew(tracker, m, angle)
+    m.near, m.open, m.answered, m.left_out = near, 0, 0, 0
+    tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
+    begin_check(tracker.check)
+    tell(m, tracker.tracked)
+    return 1
+
+
+@exported(void(Place(Tracker)))
+def tracker_give(tracker):
+    """Take in the call in `tracker.sample`, see SAMPLE."""
+    m, sample = tracker.memory[0], tracker.sample
+    m.open, m.due, m.first, m.waiting, m.answered = 1, 0, 0, 0, 0
+    tracker.request[REQUEST.late] = math.nan
+    _leave_out_absurd(sample)
+    t, at = sample[SAMPLE.t], sample[SAMPLE.now]
+    at = at if math.isfinite(at) else t
+    m.left_out = _left_out(m, at)
+    if m.left_out > 0:
+        return
+    sample[SAMPLE.now] = at
+    _keep(m, sample, abs(at - t) > LONGEST_GAP)
+    if math.isfinite(sample[SAMPLE.speed]):
+        m.speed = sample[SAMPLE.speed]
+    if m.started > 0 and (m.speed < -STANDING or abs(at - m.last) > LONGEST_GAP):
+        restart(tracker, m)
+    m.command_before = m.command
+    if m.started > 0:
+        _go_on(tracker, m, at)
+    else:
+        _begin(tracker, m, at)
+
+
+@inlined
+def _leave_out_absurd(sample):
+    """Let what no car can have be missing."""
+    for i in range(SAMPLE.x, SAMPLE.wheel_angle + 1):
+        if not abs(sample[i]) < (FURTHEST if i <= SAMPLE.yaw else ABSURD):
+            sample[i] = math.nan
+
+
+@inlined
+def _left_out(m, at):
+    """Why a call at a time (s) is left out; 0: it is not."""
+    if not math.isfinite(at):
+        return NO_TIME
+    if m.started > 0 and m.last - LONGEST_GAP <= at <= m.last:
+        return REPEATED
+    return 0
+
+
+@inlined
+def _keep(m, sample, old):
+    """The sample as it is used: one that is too old says nothing."""
+    nothing = math.nan
+    m.given_t = nothing if old else sample[SAMPLE.t]
+    m.given_x = nothing if old else sample[SAMPLE.x]
+    m.given_y = nothing if old else sample[SAMPLE.y]
+    m.given_yaw = nothing if old else sample[SAMPLE.yaw]
+    m.given_yaw_rate = nothing if old else sample[SAMPLE.yaw_rate]
+    m.given_vy = nothing if old else sample[SAMPLE.vy]
+    m.given_lateral_acceleration = nothing if old else sample[SAMPLE.lateral_acceleration]
+    m.given_wheel_angle = nothing if old else sample[SAMPLE.wheel_angle]
+
+
+@inlined
+def _begin(tracker, m, at):
+    """The first call, or one that is still no beginning."""
+    period = tracker.settings[0].period
+    if math.isfinite(m.given_wheel_angle):
+        hold(tracker, m, m.given_wheel_angle)
+    age = at - m.given_t
+    backwards = m.speed < -STANDING
+    known = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
+    if backwards or not known or not has_path(tracker):
+        m.status, m.answered = REVERSE if backwards else HELD, 1
+        m.belief_state, m.belief_at_bound = UNKNOWN, UNKNOWN
+        nowhere(m)
+        return
+    m.began = m.last = at
+    m.instant, m.started, m.newest = 0, 1, m.given_t
+    m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t
+    m.yaw_rate = m.given_yaw_rate if math.isfinite(m.given_yaw_rate) else 0.0
+    keep_pose(m, carried(sampled_pose(m), age, forward(m), m.yaw_rate))
+    find_on_path(tracker, m)
+    m.given_t, m.given_x, m.given_y, m.given_yaw = at, m.x, m.y, m.yaw
+    m.due = m.first = 1
+
+
+@inlined
+def _go_on(tracker, m, at):
+    """A call that follows others."""
+    period = tracker.settings[0].period
+    _leave_out_if_placed_before(m)
+    m.between += SHARE_OF_LAST * (min(at - m.last, period) - m.between)
+    m.last = at
+    instant = whole(floor((at - m.began + 0.5 * m.between) / period))
+    if instant <= m.instant:  # another call is nearer to the next instant
+        return
+    if has_position(m):
+        m.jumps = m.jumps + 1 if _has_jumped(m, at, period) else 0
+        if m.jumps == JUMPS:
+            restart(tracker, m)
+            _begin(tracker, m, at)
+            return
+        if m.jumps > 0:
+            leave_out_position(m)
+    m.due = instant - m.instant
+
+
+@inlined
+def _leave_out_if_placed_before(m):
+    """Leave out a pose that is the one before under a later time stamp: a car that moves has another."""
+    same = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
+    if same and m.given_t > m.placed_t and forward(m) > STANDING:
+        leave_out_position(m)
+    elif has_position(m):
+        m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t
+
+
+@inlined
+def _has_jumped(m, at, period):
+    """Whether a position is far from where the car was expected."""
+    since = at - time_of(m, period)
+    expected = carried(pose_of(m), since, forward(m), m.yaw_rate)
+    found = carried(sampled_pose(m), at - m.given_t, forward(m), m.yaw_rate)
+    distance = hypot(found.x - expected.x, found.y - expected.y)
+    return distance > LARGEST_JUMP + 0.5 * forward(m) * abs(since)

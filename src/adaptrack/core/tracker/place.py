@@ -1,0 +1,152 @@
+"""Where the car is: carried by its motion, beside its path; and what a tracker holds of it."""
+
+from __future__ import annotations
+
+import math
+
+from ..controllers.contract import wrapped
+from ..kernel import inlined, record
+from ..maths.exact import clip
+from ..maths.trigonometric import cos, sin
+from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
+from .records import ACROSS, HELD, REQUEST, TRACKED, UNKNOWN
+
+Pose = record("Pose", ("x", "y", "yaw"))
+"""m, m, rad."""
+Beside = record("Beside", ("offset", "heading_error"))
+"""m, rad, of a pose against the path; NaN where it has no foot."""
+
+
+@inlined
+def carried(pose, time, speed, yaw_rate):
+    """A pose after a time (s) on an arc."""
+    middle, way = pose.yaw + 0.5 * time * yaw_rate, time * speed
+    return Pose(pose.x + way * cos(middle), pose.y + way * sin(middle), pose.yaw + time * yaw_rate)
+
+
+@inlined
+def pose_of(m):
+    """Where the car is at the present instant."""
+    return Pose(m.x, m.y, m.yaw)
+
+
+@inlined
+def keep_pose(m, pose):
+    """Let the car be there."""
+    m.x, m.y, m.yaw = pose.x, pose.y, pose.yaw
+
+
+@inlined
+def sampled_pose(m):
+    """The position of the sample at hand."""
+    return Pose(m.given_x, m.given_y, m.given_yaw)
+
+
+@inlined
+def has_position(m):
+    """Whether the sample at hand has a position and its time."""
+    return math.isfinite(m.given_t + (m.given_x + m.given_y + m.given_yaw))
+
+
+@inlined
+def leave_out_position(m):
+    """Go by the rest of the sample at hand."""
+    m.given_x = m.given_y = m.given_yaw = math.nan
+
+
+@inlined
+def forward(m):
+    """m/s, the speed of a car that does not drive backwards."""
+    return max(m.speed, 0.0)
+
+
+@inlined
+def time_of(m, period):
+    """s, of the present instant."""
+    return m.began + m.instant * period
+
+
+# -- the path ---------------------------------------------------------------------------------------------------------
+@inlined
+def line(tracker):
+    """The centre line of the path."""
+    return line_of(0, tracker.path)
+
+
+@inlined
+def has_path(tracker):
+    """Whether there is a path."""
+    return len(tracker.path.pieces) > 0
+
+
+@inlined
+def beside(tracker, pose, near):
+    """Offset and heading error of a pose, by its foot about an arc length (m)."""
+    _, offset, heading, _ = foot_near(pose.x, pose.y, near, line(tracker))
+    return Beside(offset, wrapped(pose.yaw - heading) if offset == offset else math.nan)
+
+
+@inlined
+def find_on_path(tracker, m):
+    """The foot from which the car begins to follow its path, the nearest one in its direction."""
+    own = line(tracker)
+    m.station = nearest(m.x, m.y, m.yaw, ACROSS, m.near, own)
+    _, _, m.heading, _ = point_at(m.station, own)
+    m.near = math.nan
+
+
+@inlined
+def is_beyond(tracker, station):
+    """Whether an arc length is beyond the end of an open path."""
+    numbers = tracker.path.numbers
+    return numbers[0, CLOSED] < 0.5 and station > numbers[0, LENGTH]
+
+
+# -- what is held -----------------------------------------------------------------------------------------------------
+@inlined
+def hold(tracker, m, angle):
+    """Let an angle (rad) be the command before, as far as the controller's limits go."""
+    settings = tracker.settings[0]
+    m.command = clip(angle, settings.angle_min, settings.angle_max)
+    tracker.request[REQUEST.apply] = 1.0
+
+
+@inlined
+def nowhere(m):
+    """There is no position to go by."""
+    m.offset = m.heading_error = math.nan
+
+
+@inlined
+def begin_anew(tracker, m, angle):
+    """Forget the past, from an angle (rad) that the wheels have."""
+    tracker.request[REQUEST.restart], tracker.request[REQUEST.change] = 1.0, 0.0
+    hold(tracker, m, angle)
+    m.started, m.last, m.between = 0, -math.inf, tracker.settings[0].period
+    m.instant, m.due, m.first, m.waiting = 0, 0, 0, 0
+    m.status, m.jumps, m.newest = HELD, 0, -math.inf
+    m.speed, m.yaw_rate = math.nan, 0.0
+    m.x = m.y = m.yaw = math.nan
+    m.placed_x = m.placed_y = m.placed_yaw = math.nan
+    m.placed_t = -math.inf
+    m.station = m.heading = m.turned = 0.0
+    m.belief_state, m.belief_at_bound = UNKNOWN, UNKNOWN
+    nowhere(m)
+
+
+@inlined
+def restart(tracker, m):
+    """Forget the past but the command and the speed."""
+    speed = m.speed
+    begin_anew(tracker, m, m.command)
+    m.speed = speed
+
+
+@inlined
+def tell(m, tracked):
+    """Write what a call gives, see TRACKED; a call that was left out gives what the one before gave."""
+    tracked[TRACKED.command] = m.command
+    tracked[TRACKED.status] = m.left_out if m.left_out > 0 else m.status
+    tracked[TRACKED.offset], tracked[TRACKED.heading_error] = m.offset, m.heading_error
+    tracked[TRACKED.station] = m.station if m.offset == m.offset else math.nan
+    tracked[TRACKED.belief_state], tracked[TRACKED.belief_at_bound] = m.belief_state, m.belief_at_bound

@@ -1,0 +1,147 @@
+"""A tracker around a compiled controller: whole calls, an MPC's and a control law's, with a schedule or without."""
+
+from __future__ import annotations
+
+import math
+
+from ..controllers import mpc
+from ..controllers.contract import SITUATION, call_law
+from ..controllers.mpc import ANSWER as MPC_ANSWER
+from ..controllers.mpc_step import step_with
+from ..estimators import learning
+from ..kernel import Place, columns, exported, inlined, local, void
+from ..maths.bits import whole
+from ..models.contract import MEASURED
+from ..road import RoadAhead, bend_ahead
+from ..rollout import COMMAND
+from ..schedule import schedule
+from ..variables import VARIABLES
+from .after import tracker_after
+from .before import tracker_before
+from .give import tracker_give
+from .place import line
+from .records import AHEAD, ANSWER, REQUEST, SAMPLE, UNKNOWN, LawTracking, Tracking
+
+PLACE = columns(*SITUATION)
+_reference = local(1)
+
+
+@exported(void(Place(Tracking)))
+def tracker_step(tracking):
+    """A call of a tracker with an MPC: the sample in `tracker.sample`, the answer in `tracker.tracked`."""
+    tracker = tracking.tracker
+    tracker_give(tracker)
+    while tracker_before(tracker) > 0:
+        _obey(tracking)
+        _control(tracking)
+        tracker_after(tracker)
+    _obey(tracking)
+
+
+@exported(void(Place(LawTracking)))
+def tracker_step_law(tracking):
+    """`tracker_step`, with a control law."""
+    tracker = tracking.tracker
+    tracker_give(tracker)
+    while tracker_before(tracker) > 0:
+        _obey_law(tracking)
+        _control_law(tracking)
+        tracker_after(tracker)
+    _obey_law(tracking)
+
+
+# -- an MPC -----------------------------------------------------------------------------------------------------------
+@inlined
+def _obey(tracking):
+    """Do what the tracker asks of the MPC."""
+    request, own, settings = tracking.tracker.request, tracking.step.mpc, tracking.tracker.settings[0]
+    if request[REQUEST.restart] > 0.5:
+        mpc.restart(0, own)
+        _begin_schedule(tracking.scheduling, tracking.step.tuning)
+    if request[REQUEST.change] > 0.5:
+        late = settings.late if settings.filtered > 0 else -1
+        mpc.change_path(0, request[REQUEST.turned], request[REQUEST.shifted], late, own)
+    if request[REQUEST.apply] > 0.5:
+        own.memory[0].command = tracking.tracker.memory[0].command
+    request[REQUEST.restart] = request[REQUEST.change] = request[REQUEST.apply] = 0.0
+
+
+@inlined
+def _control(tracking):
+    """The MPC's step at an instant."""
+    tracker, given, own = tracking.tracker, tracking.step, tracking.step.mpc
+    ahead, answer = tracker.ahead, tracker.answer
+    for i in range(own.measured.size):
+        own.measured[i] = tracker.measured[i]
+    speed, count = ahead[AHEAD.speed], whole(ahead[AHEAD.count])
+    if tracking.scheduling.schedule.settings[0].n_entries > 0:
+        _schedule(tracker, tracking.scheduling, given.tuning)
+    bend_ahead(
+        ahead[AHEAD.station], tracker.speeds[:count], max(speed, own.settings.speed_floor), mpc.delay_of(0, own),
+        own.settings.period, 0, tracker.path, own.bend,
+    )  # fmt: skip
+    given.reference[0] = 0.0
+    step_with(0, speed, given.reference[:1], given.tuning, own, given.functions)
+    found = own.answer[0]
+    answer[ANSWER.command], answer[ANSWER.held] = found[MPC_ANSWER.command], found[MPC_ANSWER.held]
+    if own.settings.learns > 0:
+        learned = found[len(MPC_ANSWER) :]
+        answer[ANSWER.belief_state] = learned[learning.BELIEF.belief_state]
+        answer[ANSWER.belief_at_bound] = learned[learning.BELIEF.belief_at_bound]
+    else:
+        answer[ANSWER.belief_state] = answer[ANSWER.belief_at_bound] = UNKNOWN
+
+
+# -- a law ------------------------------------------------------------------------------------------------------------
+@inlined
+def _obey_law(tracking):
+    """Do what the tracker asks of the law, which knows of its own command only what it is given."""
+    request = tracking.tracker.request
+    if request[REQUEST.restart] > 0.5:
+        tracking.law.memory[0, :] = 0.0
+        _begin_schedule(tracking.scheduling, tracking.tuning)
+    request[REQUEST.restart] = request[REQUEST.change] = request[REQUEST.apply] = 0.0
+
+
+@inlined
+def _control_law(tracking):
+    """The law's step at an instant."""
+    tracker, law, tuning = tracking.tracker, tracking.law, tracking.tuning
+    ahead, answer, situation, measured = tracker.ahead, tracker.answer, law.situation, tracker.measured
+    road = RoadAhead(line(tracker), ahead[AHEAD.station], tracker.speeds[: whole(ahead[AHEAD.count])])
+    situation[PLACE.vy], situation[PLACE.yaw] = measured[MEASURED.vy], measured[MEASURED.yaw]
+    situation[PLACE.yaw_rate], situation[PLACE.y] = measured[MEASURED.yaw_rate], measured[MEASURED.y]
+    situation[PLACE.speed], situation[PLACE.command] = ahead[AHEAD.speed], tracker.memory[0].command
+    if tracking.scheduling.schedule.settings[0].n_entries > 0:
+        _schedule(tracker, tracking.scheduling, tuning)
+    found = law.own_answer
+    call_law(law.function, situation, _reference(), road, tuning, law.parameters, law.memory[0], found)
+    answer[ANSWER.command] = found[COMMAND]
+    answer[ANSWER.held] = 1.0 if law.held > 0 and found[law.held] > 0.5 else 0.0
+    answer[ANSWER.belief_state] = answer[ANSWER.belief_at_bound] = UNKNOWN
+
+
+# -- a schedule -------------------------------------------------------------------------------------------------------
+@inlined
+def _begin_schedule(scheduling, tuning):
+    """Before the first step: the tuning is that before the schedule speaks, which remembers nothing."""
+    for i in range(scheduling.first.size):
+        tuning[i] = scheduling.first[i]
+    for i in range(len(scheduling.schedule.memory)):
+        own = scheduling.schedule.memory[i]
+        own.steps, own.clipped, own.broken, own.rate_limited, own.outside = 0, 0, 0, 0, 0
+        own.off_reference, own.unstable, own.fallback, own.left, own.holding = 0, 0, 0, 0, 0
+
+
+@inlined
+def _schedule(tracker, scheduling, tuning):
+    """Let the schedule choose the tuning; friction that is not known is the nominal one, such wind none."""
+    sample, variables = tracker.sample, scheduling.variables
+    friction, wind = sample[SAMPLE.friction], sample[SAMPLE.wind]
+    variables[VARIABLES.speed], variables[VARIABLES.y_ref] = tracker.ahead[AHEAD.speed], 0.0
+    variables[VARIABLES.friction] = friction if math.isfinite(friction) else tracker.settings[0].nominal_friction
+    variables[VARIABLES.wind] = wind if math.isfinite(wind) else 0.0
+    variables[VARIABLES.change] = variables[VARIABLES.acceleration] = 0.0
+    offset = tracker.measured[MEASURED.y]
+    variables[VARIABLES.offset] = -offset if math.isfinite(offset) else -tracker.memory[0].offset
+    schedule(0, variables, scheduling.schedule, tuning)

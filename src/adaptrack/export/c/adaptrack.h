@@ -1,0 +1,136 @@
+/* adaptrack: a controller that makes a car follow a path. Samples in, commands and statuses out.
+
+   SI units, angles in rad; axes and signs are those of ISO 8855: x forward, y left, yaw and steering positive to the
+   left. A number that is not known is NaN. A tracker is memory of the caller, one for each car; nothing else is
+   written, allocated or read. Calls on different trackers may run at the same time; a second one on the same tracker
+   answers ADAPTRACK_BUSY. Arithmetic must round to nearest and have subnormal numbers, as processors begin;
+   -ffast-math on the program that links this may switch them off, which is answered by ADAPTRACK_ARITHMETIC. */
+#ifndef ADAPTRACK_H
+#define ADAPTRACK_H
+#include "adaptrack_config.h" /* ADAPTRACK_SIZE, ADAPTRACK_STATE_SIZE (bytes), ADAPTRACK_PERIOD (s), ADAPTRACK_VERSION */
+#include "adaptrack_error.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* -- the tracker -------------------------------------------------------------------------------------------------- */
+#define ADAPTRACK_ALIGNMENT 64 /* bytes: fastest; a multiple of 8 does */
+#if defined(__GNUC__)
+#define ADAPTRACK_ALIGNED __attribute__((aligned(ADAPTRACK_ALIGNMENT)))
+#elif defined(_MSC_VER)
+#define ADAPTRACK_ALIGNED __declspec(align(64))
+#else
+#define ADAPTRACK_ALIGNED
+#endif
+typedef ADAPTRACK_ALIGNED struct {
+    uint64_t memory[ADAPTRACK_SIZE / 8];
+} adaptrack_tracker; /* for the constants that were exported; others may ask for another size, see adaptrack_size */
+
+/* Bytes of memory that constants ask for; 0 for what is no block of constants. */
+size_t adaptrack_size(const void *constants, size_t size);
+/* Make a tracker of constants: before its first call, without a path. Nothing is written unless they are proved whole
+   and of this version. The constants may be thrown away afterwards. */
+adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size);
+/* Other constants, such as another tuning or learned car, from the next control instant on, without a bump: position,
+   estimate and command go on. What was learned stays, unless the constants begin with another learned car.
+   ADAPTRACK_OTHER_SIZES where their horizons or parts are others: adaptrack_init takes those. Nothing changes unless
+   they are proved. */
+adaptrack_error adaptrack_load(void *tracker, const void *constants, size_t size);
+/* Begin anew from the angle that the wheels have (rad): the first command is near it. `near` (m, along the path): the
+   car is looked for within 400 m of it; NaN: on the whole path, which takes longer. What was learned stays, as it does
+   not in adaptrack_init; what was said of the inputs is forgotten. */
+adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near);
+
+/* -- a path ------------------------------------------------------------------------------------------------------- */
+/* Bytes of memory for a path through points x, y (m), one behind the other: points[0], points[1] are the first.
+   0 where they make none. */
+size_t adaptrack_path_size(const double *points, size_t count, int closed);
+/* Make a path through points without noise, in memory of the caller that is aligned to 8 bytes: a cubic spline, its
+   curvature continuous; a lap if `closed`. ADAPTRACK_TOO_SMALL, or ADAPTRACK_BAD_PATH for fewer than four points, one
+   that comes twice in a row, is not finite or makes a kink; `flaw`, unless null, is then the number of the point. */
+adaptrack_error adaptrack_path(const double *points, size_t count, int closed, void *path, size_t path_size,
+                               size_t *flaw);
+/* m */
+double adaptrack_path_length(const void *path);
+
+/* A planned speed along a path: s (m) from 0 upwards to its length, speed (m/s). Arrays of the caller. */
+typedef struct {
+    const double *s;
+    const double *speed;
+    size_t count; /* 0: no plan; the present speed is expected to stay */
+} adaptrack_plan;
+
+/* Follow a path from the next control instant on: it and the plan must stay as they are while they are followed.
+   `near` (m): along the path, within 400 m of which the car is; NaN: anywhere, which takes longer. What was learned
+   stays. Begin a path behind the car, by the age of the oldest samples at least. `plan` may be null. */
+adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, const adaptrack_plan *plan);
+
+/* -- a call ------------------------------------------------------------------------------------------------------- */
+typedef struct {
+    double t;                    /* s, when the sample was taken */
+    double now;                  /* s, of the call, on the same clock; NaN: t */
+    double x, y;                 /* m, of the centre of mass */
+    double yaw;                  /* rad, from the path's x axis, wrapped or not */
+    double speed;                /* m/s, negative backwards */
+    double yaw_rate;             /* rad/s */
+    double lateral_velocity;     /* m/s */
+    double lateral_acceleration; /* m/s^2, without the pull of a bank */
+    double wheel_angle;          /* rad, of the road wheels; where it is given, the first command is near it */
+    double friction;             /* of tyre and road, for a controller with a schedule */
+    double wind;                 /* m/s, of the air to the left, for a controller with a schedule */
+} adaptrack_sample;
+#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
+
+/* What a call was. */
+typedef enum {
+    ADAPTRACK_STATUS_OK = 0,        /* a new position was used */
+    ADAPTRACK_STATUS_ESTIMATED = 1, /* no new position, or none to be believed: the command is that of the estimate */
+    ADAPTRACK_STATUS_HELD = 2,      /* no position yet or for too long, no solution, or the car turns against its
+                                       commands: the command before is held; stop the car, or steer by hand */
+    ADAPTRACK_STATUS_STANDING = 3,  /* the car stands, its wheels stay at rest */
+    ADAPTRACK_STATUS_REVERSE = 4,   /* the car drives backwards: the wheels are left where they are */
+    ADAPTRACK_STATUS_OFF_PATH = 5,  /* far from the path: stop the car, or give another path */
+    ADAPTRACK_STATUS_END = 6,       /* beyond the end of an open path: it goes on straight; stop the car */
+    ADAPTRACK_STATUS_SLIDING = 7,   /* the car slides or spins: a command is given all the same; slow down */
+    ADAPTRACK_STATUS_REPEATED = 8,  /* at the time of the call before, or earlier: left out, the command is the same */
+    ADAPTRACK_STATUS_NO_TIME = 9    /* neither t nor now is a time: left out */
+} adaptrack_status;
+
+typedef struct {
+    double command;       /* rad, angle of the road wheels to ask for, positive to the left; always finite */
+    double offset;        /* m, of the car from the path, positive to the left; NaN without a position to go by */
+    double heading_error; /* rad, the car's heading less the path's; likewise */
+    double station;       /* m, arc length of the car's foot on the path, over all laps; likewise */
+    adaptrack_status status;
+    int belief;           /* in what is learned of the car: 0 still learning, 1 settled, 2 at the end of a range,
+                             3 contradictory; -1 where nothing is learned */
+    int at_bound;         /* 1, 2, ...: the learned quantity that is at the end of its range (docs/learning.md) */
+    uint32_t suspect;     /* bits: inputs that contradict each other since the tracker engaged (docs/tracker.md) */
+} adaptrack_answer;
+
+/* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest.
+   ADAPTRACK_OUT_OF_ORDER before there is a path. A number beyond what a car can have counts as not known. Where this
+   does not answer ADAPTRACK_OK, the answer is not written. */
+adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer);
+
+/* -- the state ---------------------------------------------------------------------------------------------------- */
+/* Bytes of a saved state; 0 for no tracker. */
+size_t adaptrack_state_size(const void *tracker);
+/* Save all that changes. */
+adaptrack_error adaptrack_save(void *tracker, void *state, size_t size);
+/* Go on from a saved state, to the bit: of the same version, under the same constants, on the same path. Nothing
+   changes unless it is proved. */
+adaptrack_error adaptrack_restore(void *tracker, const void *state, size_t size);
+
+/* "0.3.0 kernels 0123456789abcdef": constants and states need the same kernels. */
+const char *adaptrack_version(void);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

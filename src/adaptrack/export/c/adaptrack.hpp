@@ -1,0 +1,87 @@
+// adaptrack in C++17: a tracker and a path that own their memory and cannot be copied. No exceptions, no allocation.
+#ifndef ADAPTRACK_HPP
+#define ADAPTRACK_HPP
+#include "adaptrack.h"
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+
+namespace adaptrack {
+
+using Error = adaptrack_error;
+using Status = adaptrack_status;
+using Answer = adaptrack_answer;
+using Plan = adaptrack_plan;
+inline constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
+
+// What is not known stays NaN.
+struct Sample : adaptrack_sample {
+    constexpr Sample() noexcept : adaptrack_sample ADAPTRACK_UNKNOWN {}
+};
+
+// A path through points x, y, for as many words of 8 bytes; see adaptrack_path_size.
+template <std::size_t Words>
+class Path {
+  public:
+    Path() noexcept = default;
+    Path(const Path &) = delete;
+    Path &operator=(const Path &) = delete;
+    // A tracker must not be following it.
+    [[nodiscard]] Error through(const double *points, std::size_t count, bool closed = false,
+                                std::size_t *flaw = nullptr) noexcept {
+        return adaptrack_path(points, count, closed ? 1 : 0, memory_.data(), 8 * Words, flaw);
+    }
+    [[nodiscard]] double length() const noexcept { return adaptrack_path_length(memory_.data()); }
+    [[nodiscard]] const void *data() const noexcept { return memory_.data(); }
+
+  private:
+    alignas(ADAPTRACK_ALIGNMENT) std::array<std::uint64_t, Words> memory_{};
+};
+
+// A controller that follows a path; `Size` (bytes) for constants that ask for more than the exported ones.
+template <std::size_t Size = ADAPTRACK_SIZE>
+class BasicTracker {
+  public:
+    BasicTracker() noexcept : BasicTracker(adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE) {}
+    BasicTracker(const void *constants, std::size_t size) noexcept
+        : ready_(adaptrack_init(memory_.data(), Size, constants, size)) {}
+    BasicTracker(const BasicTracker &) = delete;
+    BasicTracker &operator=(const BasicTracker &) = delete;
+
+    // Whether it was made; every other function says so as well.
+    [[nodiscard]] Error ready() const noexcept { return ready_; }
+    [[nodiscard]] Error load(const void *constants, std::size_t size) noexcept {
+        return adaptrack_load(memory_.data(), constants, size);
+    }
+    [[nodiscard]] Error engage(double wheel_angle, double near = unknown) noexcept {
+        return adaptrack_engage(memory_.data(), wheel_angle, near);
+    }
+    // Path and plan must outlive it, or the next call of this.
+    template <std::size_t Words>
+    [[nodiscard]] Error follow(const Path<Words> &path, const Plan *plan = nullptr, double near = unknown) noexcept {
+        return adaptrack_follow(memory_.data(), path.data(), near, plan);
+    }
+    [[nodiscard]] Error follow(const void *path, const Plan *plan = nullptr, double near = unknown) noexcept {
+        return adaptrack_follow(memory_.data(), path, near, plan);
+    }
+    [[nodiscard]] Error step(const adaptrack_sample &sample, Answer &answer) noexcept {
+        return adaptrack_step(memory_.data(), &sample, &answer);
+    }
+    [[nodiscard]] std::size_t state_size() const noexcept { return adaptrack_state_size(memory_.data()); }
+    [[nodiscard]] Error save(void *state, std::size_t size) noexcept {
+        return adaptrack_save(memory_.data(), state, size);
+    }
+    [[nodiscard]] Error restore(const void *state, std::size_t size) noexcept {
+        return adaptrack_restore(memory_.data(), state, size);
+    }
+
+  private:
+    alignas(ADAPTRACK_ALIGNMENT) std::array<std::uint64_t, Size / 8> memory_{};
+    Error ready_;
+};
+using Tracker = BasicTracker<>;
+
+} // namespace adaptrack
+#endif

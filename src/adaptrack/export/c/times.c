@@ -1,0 +1,62 @@
+/* Times steps of the recorded minute, over and over: p50, p99 and the worst. POSIX; usage: times [STEPS] */
+#define _POSIX_C_SOURCE 199309L
+#include "adaptrack.h"
+#include "adaptrack_recorded.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+static adaptrack_tracker tracker;
+static double path[ADAPTRACK_RECORDED_PATH_SIZE / 8];
+
+static double now(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static int ascending(const void *a, const void *b) {
+    const float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+int main(int count, char **words) {
+    const long steps = count > 1 ? strtol(words[1], 0, 10) : 1000000;
+    float *times = malloc((size_t)steps * sizeof *times); /* of this program, not of the library */
+    adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
+    adaptrack_answer answer;
+    double begun, mean = 0.0;
+    if (!times || steps < 100) return 1;
+    begun = now();
+    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, ADAPTRACK_RECORDED_CLOSED, path,
+                       sizeof path, 0) != ADAPTRACK_OK) return 1;
+    printf("a path through %d points: %.0f us, %d kB\n", ADAPTRACK_RECORDED_POINTS, 1e6 * (now() - begun),
+           (int)(sizeof path / 1000));
+    if (adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE) != ADAPTRACK_OK) return 1;
+    for (long i = 0; i < steps; i++) {
+        const uint64_t *row = adaptrack_recorded[i % ADAPTRACK_RECORDED_STEPS];
+        adaptrack_sample sample = ADAPTRACK_UNKNOWN;
+        double numbers[10];
+        if (i % ADAPTRACK_RECORDED_STEPS == 0) {
+            if (adaptrack_engage(&tracker, 0.0, NAN) != ADAPTRACK_OK) return 1;
+            if (adaptrack_follow(&tracker, path, NAN, &plan) != ADAPTRACK_OK) return 1;
+        }
+        memcpy(numbers, row, sizeof numbers);
+        sample.t = numbers[0], sample.now = numbers[1], sample.x = numbers[2], sample.y = numbers[3];
+        sample.yaw = numbers[4], sample.speed = numbers[5], sample.yaw_rate = numbers[6];
+        sample.lateral_velocity = numbers[7], sample.lateral_acceleration = numbers[8];
+        sample.wheel_angle = numbers[9];
+        begun = now();
+        if (adaptrack_step(&tracker, &sample, &answer) != ADAPTRACK_OK) return 1;
+        times[i] = (float)(now() - begun);
+        mean += times[i] / (double)steps;
+    }
+    qsort(times, (size_t)steps, sizeof *times, ascending);
+    printf("%ld steps: mean %.2f us, p50 %.2f, p99 %.2f, p99.9 %.2f, worst %.1f\n", steps, 1e6 * mean,
+           1e6 * (double)times[steps / 2], 1e6 * (double)times[steps - steps / 100],
+           1e6 * (double)times[steps - steps / 1000], 1e6 * (double)times[steps - 1]);
+    free(times);
+    return 0;
+}

@@ -1,0 +1,358 @@
+"""`export_c`: a folder from which a controller drives without Python, and the proof that it does so alike."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptrack import __version__
+from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
+from adaptrack.base.files import write_atomically
+from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
+from adaptrack.control.controllers import Controller
+from adaptrack.core import library, path, road
+from adaptrack.core.kernel import Array as KernelArray
+from adaptrack.core.tracker.records import SAMPLE, TRACKED, LawTracking, Tracker, Tracking
+from adaptrack.export.block import Block
+from adaptrack.export.recorded import Recorded, record_drive
+from adaptrack.export.tracking import Room, refuse, step_kernel, tracking_block
+from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
+from adaptrack.scenario.profile import Profile, load_profile
+
+SOURCES = Path(__file__).parent / "c"
+FOLDERS = {
+    "include": ("adaptrack.h", "adaptrack.hpp", "adaptrack_error.h"),
+    "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h"),
+    ".": ("main.c", "times.c", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
+}
+"""Where the files that are the same for all go."""
+KERNELS_FILE = "adaptrack_kernels.o"
+CONSTANTS_FILE = "constants.bin"
+MOST_POINTS = 100_000
+"""Of a path or a plan."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What `export_c` wrote."""
+
+    folder: Path
+    targets: tuple[str, ...]
+    constants_size: int
+    """bytes"""
+    memory_size: int
+    """bytes of a tracker"""
+    state_size: int
+    """bytes of a saved state"""
+    steps: int
+    """of the recorded drive"""
+
+
+def export_c(
+    controller: Controller,
+    folder: str | os.PathLike[str],
+    *,
+    targets: Sequence[str] = (),
+    road: Road | str = "country",
+    plan: SpeedPlan | None = None,
+    plant: Plant | SteppedPlant | None = None,
+    profile: str | Profile = "road",
+    furthest: float = 10.0,
+    room: Room | None = None,
+    objects: str | os.PathLike[str] | None = None,
+) -> Exported:
+    """Write a C library of a controller with its tracker: header, compiled kernels, constants, sources around them, and
+    a recorded minute that shows that it drives as it does here.
+
+    The folder needs neither this package nor Python. What the controller has learned so far travels along.
+
+    Parameters
+    ----------
+    controller : Controller
+        Informed, learning, the paper's with their schedules, LQR, Stanley, pure pursuit.
+    folder : path
+        New or empty, or an earlier export.
+    targets : names
+        Processors, see `list_targets`; by default this one.
+    road, plan, plant, profile
+        What the recorded minute is driven on: a road or its name, the speed along it, the car (by default the
+        controller's, dual track), sensors.
+    furthest : float
+        m, from the path, beyond which a status says so.
+    room : (int, int), optional
+        Of an MPC: the largest Np and Nc that constants which are loaded later may have; by default its own.
+    objects : path, optional
+        Folder of an unpacked archive of `make targets`, for targets that the package does not hold.
+
+    Raises
+    ------
+    InvalidInput
+        When the controller cannot be exported, or the object file of a target is not there; before anything is written.
+    StorageError
+        When something cannot be written.
+    """
+    refuse(controller)
+    block = tracking_block(controller, room, furthest)
+    files = kernel_files(targets, objects)
+    world = load_profile(profile)
+    way = load_road(road) if isinstance(road, str) else road
+    body = DualTrack(controller.vehicle) if plant is None else plant
+    speed = plan_speed(way, controller.vehicle) if plan is None else plan
+    driven = record_drive(controller, body, way, speed, world)
+    name = next(iter(files))
+    texts = _texts(controller, block, driven, name, tuple(files))
+    target = Path(folder)
+    for place, content in {**texts, CONSTANTS_FILE: block.content}.items():
+        _write(target / place, content)
+    for each, file in files.items():
+        _write(target / "lib" / each / KERNELS_FILE, file.read_bytes())
+    return Exported(
+        target, tuple(files), len(block.content), 64 + block.memory_size, 48 + block.state_size, len(driven.samples)
+    )
+
+
+# -- object files -----------------------------------------------------------------------------------------------------
+def list_targets(objects: str | os.PathLike[str] | None = None) -> list[str]:
+    """The processors for which object files are at hand; objects: as for `export_c`."""
+    return sorted(_exports(objects))
+
+
+def _exports(objects: str | os.PathLike[str] | None) -> dict[str, Any]:
+    folder = library.BUILT if objects is None else Path(objects)
+    try:
+        return dict(json.loads((folder / library.MANIFEST).read_text(encoding="utf-8"))["exports"])
+    except library.UNUSABLE:
+        return {}
+
+
+def own_target() -> str:
+    """The target that this processor runs."""
+    name = library.processor()
+    return "x86-64-v3" if name == "x86-64-v4" else name
+
+
+def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None = None) -> dict[str, Path]:
+    """The object file of the kernels for each target, this processor's without any.
+
+    Raises
+    ------
+    InvalidInput
+        When one is not at hand, or is of other kernels.
+    """
+    folder = library.BUILT if objects is None else Path(objects)
+    found = {}
+    for name in dict.fromkeys(targets or [own_target()]):
+        try:
+            found[name] = library.export_of(name, folder)
+        except library.UNUSABLE as error:
+            known = list_targets(objects)
+            near = did_you_mean(name, known) if known else "None is there."
+            raise InvalidInput(
+                f"export: no kernels for {name!r} in {folder} ({error}). {near} All of them: make targets, unpack its "
+                f"archive, --objects FOLDER; or {library.BUILD} --export {name}."
+            ) from error
+    return found
+
+
+# -- texts ------------------------------------------------------------------------------------------------------------
+def _texts(
+    controller: Controller, block: Block, driven: Recorded, target: str, targets: Sequence[str]
+) -> dict[str, bytes]:
+    """The files that are text, by their places in the folder."""
+    words = {
+        "TARGET": target, "TARGETS": ", ".join(targets), "VERSION": __version__, "CONTROLLER": repr(controller),
+        "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{64 + block.memory_size:,}",
+        "STATE_SIZE": f"{48 + block.state_size:,}", "PERIOD": f"{controller.period:g}",
+        "STEPS": f"{len(driven.samples):,}", "KERNELS": library.kernels_hash(),
+    }  # fmt: skip
+    found = {}
+    for folder, names in FOLDERS.items():
+        for name in names:
+            found[f"{folder}/{name}"] = _filled((SOURCES / name).read_text(encoding="utf-8"), words)
+    found["include/adaptrack_config.h"] = _config(controller, block)
+    found["src/adaptrack_parts.h"], found["src/adaptrack_parts.c"] = _parts_header(), _parts(controller, block)
+    found["src/adaptrack_constants.c"] = _constants(block)
+    found["adaptrack_recorded.h"] = _recorded(driven)
+    return {name: text.encode() for name, text in found.items()}
+
+
+def _filled(text: str, words: Mapping[str, str]) -> str:
+    for name, value in words.items():
+        text = text.replace(f"@{name}@", value)
+    return text
+
+
+def _config(controller: Controller, block: Block) -> str:
+    return f"""\
+/* adaptrack: what was exported. {_printable(repr(controller))} */
+#ifndef ADAPTRACK_CONFIG_H
+#define ADAPTRACK_CONFIG_H
+
+#define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
+#define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
+#define ADAPTRACK_SIZE {64 + block.memory_size} /* bytes of a tracker with these constants */
+#define ADAPTRACK_STATE_SIZE {48 + block.state_size} /* bytes of its saved state */
+#define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+extern const unsigned char adaptrack_constants[ADAPTRACK_CONSTANTS_SIZE];
+#ifdef __cplusplus
+}}
+#endif
+#endif
+"""
+
+
+def _printable(text: str) -> str:
+    return text.encode("ascii", "replace").decode().replace("*/", "* /")
+
+
+def _parts_header() -> str:
+    """Places in records and rows, as the kernels' own files have them."""
+    words = dict(_words("", Tracker, 0))
+    shared = dict(_words("", Tracking, 0)), dict(_words("", LawTracking, 0))
+    assert all(each[f"tracker_{name}"] == at for each in shared for name, at in words.items())
+    lines = [
+        f"    ADAPTRACK_{name.upper()} = {at}," for name, at in words.items() if name.startswith(("path_", "plan_"))
+    ]
+    lines += [f"    ADAPTRACK_PATH_END = {words['plan_speed'] + 2},"]
+    lines += [f"    ADAPTRACK_{name.upper()}_AT = {words[name]}," for name in ("sample", "tracked")]
+    lines += [f"    ADAPTRACK_SAMPLE_{name.upper()} = {i}," for i, name in enumerate(SAMPLE._fields)]
+    lines += [f"    ADAPTRACK_TRACKED_{name.upper()} = {i}," for i, name in enumerate(TRACKED._fields)]
+    lines += [
+        f"    ADAPTRACK_ROAD_LENGTH = {road.LENGTH},",
+        f"    ADAPTRACK_ROAD_SPACING = {road.HEADING_SPACING},",
+        f"    ADAPTRACK_ROAD_NUMBERS = {len(road.NUMBERS)},",
+        f"    ADAPTRACK_PIECE_COLUMNS = {path.COLUMNS},",
+        f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
+        f"    ADAPTRACK_MOST_POINTS = {MOST_POINTS}",
+    ]
+    return "\n".join(
+        [
+            "/* adaptrack: places in the records of the kernels. Written by adaptrack.export. */",
+            "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_block.h"', "",
+            "enum {", *lines, "};", "",
+            "extern const adaptrack_reader adaptrack_parts;",
+            "void adaptrack_parts_step(void *record);", "#endif", "",
+        ]
+    )  # fmt: skip
+
+
+def _words(before: str, kind: Any, at: int) -> Iterator[tuple[str, int]]:
+    """The word at which each field of a record begins, as `core.kernel.Resident` lays it."""
+    for name, each in kind.kinds.items():
+        if isinstance(each, KernelArray):
+            yield f"{before}{name}", at
+            at += 1 + each.ndim
+        elif hasattr(each, "kinds"):
+            inner = list(_words(f"{before}{name}_", each, at))
+            yield from inner
+            at += words_of(each)
+        else:
+            yield f"{before}{name}", at
+            at += 1
+
+
+def words_of(kind: Any) -> int:
+    """How many words a record takes."""
+    return sum(
+        1 + each.ndim if isinstance(each, KernelArray) else words_of(each) if hasattr(each, "kinds") else 1
+        for each in kind.kinds.values()
+    )
+
+
+def _parts(controller: Controller, block: Block) -> str:
+    """Which kernels the constants call."""
+    step, header = step_kernel(controller), block.header
+    known = [f"extern void adaptrack_{name}(void);" for name in block.functions]
+    rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
+    return "\n".join(
+        [
+            "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
+            '#include "adaptrack_parts.h"', "", *known, f"extern void adaptrack_{step}(void *record);", "",
+            "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
+            f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
+            f"FUNCTIONS, {len(rows)}}};", "",
+            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}(record); }}", "",
+        ]
+    )  # fmt: skip
+
+
+def _constants(block: Block) -> str:
+    lines = [",".join(str(byte) for byte in block.content[i : i + 32]) for i in range(0, len(block.content), 32)]
+    return "\n".join(
+        [
+            "/* adaptrack: the constants, as in constants.bin. Written by adaptrack.export. */",
+            '#include "adaptrack_config.h"', "",
+            "const unsigned char adaptrack_constants[ADAPTRACK_CONSTANTS_SIZE] = {", ",\n".join(lines), "};", "",
+        ]
+    )  # fmt: skip
+
+
+# -- the recorded minute ----------------------------------------------------------------------------------------------
+def _recorded(driven: Recorded) -> str:
+    points = ",\n    ".join(f"{x!r}, {y!r}" for x, y in driven.points.tolist())
+    rows = [
+        ", ".join(f"{word:#x}u" for word in [*_canonical(sample), fingerprint(answer)])
+        for sample, answer in zip(driven.samples, driven.answers, strict=True)
+    ]
+    size = 64 + 8 * path.path_words(np.ascontiguousarray(driven.points), driven.closed)
+    sets = "},\n    {".join(rows)
+    return f"""\
+/* adaptrack: a recorded drive. Written by adaptrack.export. */
+#include <stdint.h>
+
+enum {{
+    ADAPTRACK_RECORDED_POINTS = {len(driven.points)},
+    ADAPTRACK_RECORDED_CLOSED = {int(driven.closed)},
+    ADAPTRACK_RECORDED_PATH_SIZE = {size}, /* bytes, of adaptrack_path_size */
+    ADAPTRACK_RECORDED_PLAN = {driven.plan.s.size},
+    ADAPTRACK_RECORDED_STEPS = {len(rows)}
+}};
+/* m: x, y of the path */
+static const double adaptrack_recorded_points[] = {{
+    {points}}};
+static const double adaptrack_recorded_plan_s[] = {{ /* m */
+    {_numbers(driven.plan.s)}}};
+static const double adaptrack_recorded_plan_speed[] = {{ /* m/s */
+    {_numbers(driven.plan.speed)}}};
+/* A call each: t, now (s), x, y (m), yaw (rad), speed (m/s), yaw rate (rad/s), lateral velocity (m/s), lateral
+   acceleration (m/s^2), wheel angle (rad), as the bits of doubles; CRC-32 of command, status, offset, heading error and
+   station that Python answered. */
+static const uint64_t adaptrack_recorded[][11] = {{
+    {{{sets}}}}};
+"""
+
+
+def _numbers(values: Any) -> str:
+    return ",\n    ".join(repr(float(each)) for each in values)
+
+
+def _canonical(values: Any) -> list[int]:
+    """The bits of numbers; any NaN is one."""
+    given = np.array(values, dtype=float)
+    given[np.isnan(given)] = np.nan
+    return [int(each) for each in given.view(np.uint64)]
+
+
+def fingerprint(answer: Any) -> int:
+    """CRC-32 of an answer, a row of `recorded.ANSWER`, as main.c makes it."""
+    return zlib.crc32(struct.pack("<5Q", *_canonical(answer)))
+
+
+def _write(file: Path, content: bytes) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{file.parent}: cannot be made: {error.strerror}.") from error
+    write_atomically(file, content)
