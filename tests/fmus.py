@@ -62,7 +62,9 @@ class Instance:
             getattr(self.fmu, f"set{variable.type}")([variable.valueReference], [value])
 
     def get(self, *names):
-        found = [getattr(self.fmu, f"get{self.variables[n].type}")([self.variables[n].valueReference])[0] for n in names]
+        found = [
+            getattr(self.fmu, f"get{self.variables[n].type}")([self.variables[n].valueReference])[0] for n in names
+        ]
         return found if len(names) > 1 else found[0]
 
     def step(self, periods=1, **values):
@@ -118,4 +120,3 @@ class Signals:
             "speed": signals.speed[k], "speed_ahead": ahead, "wind_x": wind_x, "wind_y": wind_y,
             "bank": signals.push[place],
         }  # fmt: skip
-

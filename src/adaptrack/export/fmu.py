@@ -12,18 +12,35 @@ import json
 import math
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree as ET
 
-from adaptrack.base.checked import checked
+from adaptrack.base.checked import Bound, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
+from adaptrack.cars.plant import Plant
+from adaptrack.control.controllers import Controller
 from adaptrack.core import library
+from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
-from adaptrack.export.block import Block, Role, pack
-from adaptrack.export.units import CONSTANT, INPUT, PARAMETER, REAL, TRUTH, WHOLE, Unit, Value
+from adaptrack.export.block import Block, pack
+from adaptrack.export.units import (
+    CONSTANT,
+    INPUT,
+    PARAMETER,
+    REAL,
+    TRUTH,
+    WHOLE,
+    Unit,
+    Value,
+    car_unit,
+    controller_unit,
+)
+from adaptrack.scenario import RoadDrive, Scenario
+from adaptrack.scenario.profile import Profile
 
 VERSIONS = ("2.0", "3.0")
 _BASE_UNITS = {
@@ -35,6 +52,39 @@ _TYPES = {"2.0": {REAL: "Real", WHOLE: "Integer", TRUTH: "Boolean"},
 _LARGEST_INTEGER = 2.0**31 - 1
 _DATE = (1980, 1, 1, 0, 0, 0)
 """Of the files in an archive, so that the same unit gives the same bytes."""
+
+
+@checked
+def export_fmu(
+    part: Plant | Controller,
+    path: str | os.PathLike[str],
+    route: Scenario | RoadDrive | None = None,
+    *,
+    version: Literal["2.0", "3.0"] = "3.0",
+    profile: str | Profile = "road",
+    driver: Driver | None = None,
+    period: Positive | None = None,
+    furthest: Annotated[Bound, "m"] = 10.0,
+) -> Path:
+    """Write a car of the simulated world, or a controller with its tracker, as an FMU; its path.
+
+    part: a plant, or a controller that is compiled ahead of time; route: of a car where it starts, and the road from
+    which its offset counts; of a controller the road that it follows, with its plan; version: of the interface;
+    profile, driver, period: of a car, as for `simulate`; period: by default the profile's; furthest: of a controller,
+    m, from the path, beyond which a status says so.
+
+    Raises
+    ------
+    InvalidInput
+        When it cannot be exported, or there are no binaries of these kernels.
+    StorageError
+        When the file cannot be written.
+    """
+    if isinstance(part, Plant):
+        return write_fmu(car_unit(part, route, profile=profile, driver=driver, period=period), path, version)
+    if not isinstance(route, RoadDrive):
+        raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
+    return write_fmu(controller_unit(part, route.road, route.plan, furthest=furthest), path, version)
 
 
 @checked
@@ -52,7 +102,7 @@ def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", 
     if path.suffix != ".fmu":
         raise InvalidInput(f"{path}: must end in .fmu.")
     block = constants(unit)
-    token = f"{{{_crc(block):08x}}}"
+    token = f"{{{zlib.crc32(block.content):08x}}}"
     name = f"adaptrack_{unit.name}"
     files = {
         "modelDescription.xml": description(unit, token, version),
@@ -80,21 +130,13 @@ def constants(unit: Unit) -> Block:
     InvalidInput
         When it holds a function that is none of the package's.
     """
-    kind = type(unit.record).__name__
-    roles = dict.fromkeys(("kinds", "least", "most", "loop.vehicles.parameters", "loop.given.roads"), Role.FIXED)
-    block = pack(unit.record, kind, roles)
+    block = pack(unit.record, type(unit.record).__name__, unit.roles)
     missing = [each for each in block.functions if each not in fmu_build.MEMBERS]
     if missing:
         raise InvalidInput(
             f"export fmu: {', '.join(missing)}: not among the kernels of an FMU; a plant is single-track or dual-track."
         )
     return block
-
-
-def _crc(block: Block) -> int:
-    import zlib
-
-    return zlib.crc32(block.content)
 
 
 def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
@@ -120,9 +162,10 @@ def description(unit: Unit, token: str, version: str) -> bytes:
     from adaptrack import __version__
 
     second = version == "2.0"
+    known_by = "guid" if second else "instantiationToken"
     root = ET.Element("fmiModelDescription", {
-        "fmiVersion": version, "modelName": f"adaptrack_{unit.name}", ("guid" if second else "instantiationToken"): token,
-        "description": unit.title, "generationTool": f"adaptrack {__version__}", "variableNamingConvention": "flat",
+        "fmiVersion": version, "modelName": f"adaptrack_{unit.name}", known_by: token, "description": unit.title,
+        "generationTool": f"adaptrack {__version__}", "variableNamingConvention": "flat",
     })  # fmt: skip
     states = "canGetAndSetFMUstate" if second else "canGetAndSetFMUState"
     serialised = "canSerializeFMUstate" if second else "canSerializeFMUState"
@@ -170,7 +213,10 @@ def _variable(variables: ET.Element, reference: int, value: Value, version: str)
         common["description"] = value.description
     own: dict[str, str] = {"unit": value.unit} if value.unit else {}
     if value.type != TRUTH and value.role in (PARAMETER, INPUT):
-        limits = {"min": value.least, "max": min(value.most, _LARGEST_INTEGER) if second and value.type == WHOLE else value.most}
+        limits = {
+            "min": value.least,
+            "max": min(value.most, _LARGEST_INTEGER) if second and value.type == WHOLE else value.most,
+        }
         own |= {name: _text(limit, value) for name, limit in limits.items() if math.isfinite(limit)}
     if value.role in (PARAMETER, INPUT) or causality == "local":
         own["start"] = _text(value.start, value)
@@ -203,7 +249,7 @@ def _page(unit: Unit) -> str:
     )
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>adaptrack</title></head><body>\n'
-        f"<h1>{escape(unit.title)}</h1>\n<p>A step is {unit.period:g} s. SI units, angles in rad; x forward, y left, angles positive "
-        "to the left (ISO 8855).</p>\n"
+        f"<h1>{escape(unit.title)}</h1>\n<p>A step is {unit.period:g} s. SI units, angles in rad; x forward, y left, "
+        "angles positive to the left (ISO 8855).</p>\n"
         f"<table>\n<tr><th>name</th><th>is</th><th>unit</th><th>means</th></tr>\n{rows}\n</table></body></html>\n"
     )

@@ -21,22 +21,18 @@ from typing import Any
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.core import library
+from adaptrack.core.build.units import PLANTS, UNITS
 
 HERE = Path(__file__).parent
 BUILT = HERE / "built"
 MANIFEST = "fmu.json"
 SOURCES = (*(HERE / "fmu_c" / each for each in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
            *(HERE / "c" / each for each in ("adaptrack_block.c", "adaptrack_block.h")))  # fmt: skip
-UNITS = {"Car": ("car_begin", "car_step")}
-"""Of each unit the kernels that begin and step, by the name of its record."""
-MEMBERS = tuple(
-    f"{track}_{tyre}_{what}"
-    for track in ("single_track", "dual_track")
-    for tyre in ("linear", "magic", "curved")
-    for what in ("advance", "observe")
-)
+MEMBERS = (
+    "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
+    *PLANTS,
+)  # fmt: skip
 """Kernels whose addresses a unit's record may hold."""
-KERNELS = (*(each for pair in UNITS.values() for each in pair), *MEMBERS)
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-fno-stack-protector", "-DADAPTRACK_NEEDS_AVX2")
 
 
@@ -114,36 +110,48 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
         (work / "exports").write_text(EXPORTS)
         names = [each.name for each in SOURCES if each.suffix == ".c"]
         options = [each.format(exports="exports") for each in system.options]
-        given = [*command, *FLAGS, *options, "-shared", *names, "units.c", "kernels.o", "-o", f"made.{system.ending}", "-s"]
+        given = [
+            *command,
+            *FLAGS,
+            *options,
+            "-shared",
+            *names,
+            "units.c",
+            "kernels.o",
+            "-o",
+            f"made.{system.ending}",
+            "-s",
+        ]
         done = subprocess.run(given, cwd=work, capture_output=True, text=True)
         if done.returncode != 0:
             raise InvalidInput(f"{' '.join(given)}: {done.stderr}")
         return (work / f"made.{system.ending}").read_bytes()
 
 
-def build(systems: tuple[str, ...] = tuple(SYSTEMS)) -> None:
-    """Make the binaries; without a compiler for a system, say so and leave it out."""
-    import adaptrack.core.plants.dual_track
-    import adaptrack.core.plants.single_track
-    import adaptrack.core.units.car  # noqa: F401
-    from adaptrack.core.build.library import TARGETS, _module, emit
-    from adaptrack.core.kernel import EXPORTED
-
-    text = _module({name: EXPORTED[name] for name in KERNELS})
+def build() -> None:
+    """Make the binaries of those systems whose kernels and compiler are at hand; say which are left out."""
     BUILT.mkdir(exist_ok=True)
     made: dict[str, Any] = {}
-    for name in systems:
-        system = SYSTEMS[name]
+    for name, system in SYSTEMS.items():
         command = compiler(system)
-        if command is None:
-            print(f"  FMUs for {name}: no compiler ({', '.join(system.compilers)}, or the package ziglang)", file=sys.stderr)
+        try:
+            kernels = library.export_of(system.target)
+        except library.UNUSABLE as error:
+            _say(f"no kernels ({error}): {library.BUILD} --export {system.target}", name)
             continue
-        content = linked(system, emit(text, TARGETS[system.target]), command)
+        if command is None:
+            _say(f"no C compiler: install {' or '.join(system.compilers)}, or the package ziglang", name)
+            continue
+        content = linked(system, kernels.read_bytes(), command)
         write_atomically(BUILT / f"fmu-{name}.{system.ending}", content)
         made[name] = {"sha256": hashlib.sha256(content).hexdigest()}
-        print(f"  {BUILT / f'fmu-{name}.{system.ending}'}: {len(content) // 1000} kB", file=sys.stderr)
+        _say(f"{len(content) // 1000} kB, by {command[0]}", name)
     whole = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": made}
     write_atomically(BUILT / MANIFEST, json.dumps(whole, indent=1).encode())
+
+
+def _say(text: str, name: str) -> None:
+    print(f"  FMUs for {name}: {text}", file=sys.stderr)
 
 
 def sources_hash() -> str:

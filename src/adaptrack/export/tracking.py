@@ -108,10 +108,16 @@ def tracking_block(controller: Any, room: Room | None = None, furthest: float = 
     refuse(controller)
     none: Any = None  # the C program gives path and plan
     record = tracking_of(controller, none, furthest=furthest)
-    if isinstance(controller, MPC):
-        record = record._replace(step=record.step._replace(mpc=_small(controller, room_of(controller, room))))
+    record = with_room(controller, record, room)
     kind = Tracking if isinstance(controller, MPC) else LawTracking
     return pack(record, kind.__name__, ROLES, STARTS, RESETS, OUTSIDE)
+
+
+def with_room(controller: Any, record: Any, room: Room | None = None) -> Any:
+    """The record of a tracker with a controller, of an MPC with memory for no longer horizons than it needs."""
+    if not isinstance(controller, MPC):
+        return record
+    return record._replace(step=record.step._replace(mpc=_small(controller, room_of(controller, room))))
 
 
 def _small(controller: MPC, room: Room) -> Any:

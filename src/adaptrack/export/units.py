@@ -6,21 +6,26 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Positive, checked
+from adaptrack.base.checked import Bound, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
-from adaptrack.core.build.header import said
+from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.tracking import tracking_of
+from adaptrack.core.build.header import remarks
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.period import Given
 from adaptrack.core.plants.contract import place, vehicle_batch
-from adaptrack.core.units import car as kernel
+from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.world import Driver, World
+from adaptrack.export.block import Role
+from adaptrack.export.tracking import ROLES, refuse, with_room
+from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
@@ -67,6 +72,8 @@ class Unit:
     record: Any
     values: tuple[Value, ...]
     """beginning with the constants"""
+    roles: Mapping[str, Role]
+    """of the record's arrays, see `block.pack`"""
 
     @property
     def period(self) -> float:
@@ -80,7 +87,7 @@ def described(module: str, groups: Mapping[int, tuple[str, ...]], given: Mapping
     groups: names of the constants, parameters, inputs and outputs by their role (`CONSTANT`, `PARAMETER`, `INPUT`, 0);
     given: start, least and most where they are not 0 and no limit.
     """
-    words = {name: text for _, fields in said(module).values() for name, text in fields.items()}
+    words = {name: text for _, fields in remarks(module).values() for name, text in fields.items()}
     found = []
     for role, names in groups.items():
         for name in names:
@@ -132,15 +139,52 @@ def car_unit(
         "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
         **dict(zip(("start_x", "start_y", "start_yaw"), ((each, -1e8, 1e8) for each in pose), strict=True)),
         "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
-        **{name: (0.9, 1e-3, 3.0) for name in kernel.INPUTS if name.startswith("friction")},
+        **{name: (0.9, 1e-3, 3.0) for name in car.INPUTS if name.startswith("friction")},
         **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
     }  # fmt: skip
-    groups = {CONSTANT: kernel.CONSTANTS, PARAMETER: kernel.PARAMETERS, INPUT: kernel.INPUTS, 0: kernel.OUTPUTS}
-    values = described(kernel.__name__, groups, starts)
+    groups = {CONSTANT: car.CONSTANTS, PARAMETER: car.PARAMETERS, INPUT: car.INPUTS, 0: car.OUTPUTS}
+    values = described(car.__name__, groups, starts)
     past = loop.memory.past.shape[1]
-    record = kernel.Car(*_columns(values), past=np.zeros(past), loop=loop)
+    record = car.Car(*_columns(values), past=np.zeros(past), loop=loop)
     title = f"car {getattr(plant, 'vehicle', plant).name}, {plant.name}, profile {world.profile.name}"
-    return Unit("car", title, record, values)
+    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), Role.FIXED)
+    return Unit("car", title, record, values, FIXED | roles)
+
+
+@checked
+def controller_unit(
+    made: Controller, path: Road, plan: SpeedPlan | None = None, *, furthest: Annotated[Bound, "m"] = 10.0
+) -> Unit:
+    """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
+
+    plan, furthest: as of `Tracker`. What the controller has learned so far travels along; it stays as it is.
+
+    Raises
+    ------
+    InvalidInput
+        When the controller, or a part of it, is not compiled ahead of time.
+    """
+    refuse(made)
+    tracking = with_room(made, tracking_of(made, path, plan, furthest))
+    expected = made.model.dead_time if isinstance(made, MPC) else 0.0
+    starts = {
+        "period": (made.period,), "expected_delay": (expected,), "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
+        "pose_known": (1.0,), "yaw_rate_known": (1.0,),
+    }  # fmt: skip
+    groups = {
+        CONSTANT: controller.CONSTANTS, PARAMETER: controller.PARAMETERS, INPUT: controller.INPUTS,
+        0: controller.OUTPUTS,
+    }  # fmt: skip
+    values = described(controller.__name__, groups, starts)
+    kind = controller.Steering if isinstance(made, MPC) else controller.LawSteering
+    roles = {f"tracking.{name}": role for name, role in ROLES.items()}
+    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), Role.FIXED)
+    title = f"controller {made.name} on {path.name}"
+    return Unit("controller", title, kind(*_columns(values), tracking=tracking), values, FIXED | roles)
+
+
+FIXED = dict.fromkeys(("kinds", "least", "most"), Role.FIXED)
+"""Of every unit."""
 
 
 def _columns(values: tuple[Value, ...]) -> tuple[NDArray[Any], ...]:
