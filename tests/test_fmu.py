@@ -1,8 +1,10 @@
 """Car and controller as FMUs: driven by FMPy, they are those of `simulate` and of `Tracker`, to the bit."""
 
 import math
+import shutil
 import subprocess
 import zipfile
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -11,8 +13,10 @@ import pytest
 
 import adaptrack as at
 import adaptrack.export
+from adaptrack.core.kernel import Resident
+from adaptrack.core.units import car as kernel
 from adaptrack.export import fmu_build
-from adaptrack.export.fmu import write_fmu
+from adaptrack.export.fmu import constants, write_fmu
 from adaptrack.export.units import car_unit, controller_unit
 from exported import STRICT, compiler
 from fmus import Instance, Signals, needed
@@ -82,6 +86,7 @@ LOOPS = {
     "informed": (lambda: at.MPC(CAR, profile="road", preview=True), "road", at.Driver(), lane_change),
     "learning": (lambda: at.MPC(CAR, profile="production", learning=at.Learning()), "production", None, country),
     "stanley": (lambda: at.Stanley(CAR, period=0.05), "road", at.Driver(), country),
+    "lqr": (lambda: at.LQR(CAR, period=0.05), "road", None, country),
 }
 """Controllers and what they drive in: profile, driver, route."""
 
@@ -180,7 +185,7 @@ def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None):
     return states
 
 
-@pytest.mark.parametrize("name", ["informed", "learning", "stanley"])
+@pytest.mark.parametrize("name", ["published", "informed", "learning", "stanley", "lqr"])
 def test_the_controller_is_the_tracker_to_the_bit(name, folder):
     tracker, differ = at.Tracker(LOOPS[name][0](), country().road, plan=country().plan), []
     names = ("command", "offset", "heading_error", "station")
@@ -281,7 +286,7 @@ def test_damaged_constants_are_refused(folder, tmp_path, capfd):
     content = bytearray(place.read_bytes())
     content[len(content) // 2] ^= 1
     place.write_bytes(content)
-    with pytest.raises(Exception, match="Instantiat"):
+    with pytest.raises(Exception, match="nstantiate"):
         Instance(car(folder), tmp_path)
 
 
@@ -307,3 +312,36 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
             include = ["-I", str(SOURCES / "c"), "-I", str(SOURCES / "fmu_c")]
             made = ["-c", str(source), "-o", str(tmp_path / "made.o")]
             subprocess.run([compiler(), *STRICT, "-Wno-pedantic", *options, *include, *made], check=True)
+
+
+# -- without FMPy -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("system", ["linux", pytest.param("windows", marks=pytest.mark.slow)])
+def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder, tmp_path):
+    own = fmu_build.SYSTEMS[system]
+    binary = fmu_build.BUILT / f"fmu-{system}.{own.ending}"
+    if not binary.exists():
+        pytest.skip(f"the binary for {system} is not built")
+    wine = [] if system == "linux" else [shutil.which("wine64") or "/usr/lib/wine/wine64"]
+    if wine and not Path(wine[0]).exists():
+        pytest.skip("wine is not installed")
+    unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if wine else "driver")
+    libraries = [] if wine else ["-ldl"]
+    source = Path(__file__).parent / "processors" / "fmu_driver.c"
+    subprocess.run([compiler(own.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True)
+    block = constants(unit)
+    (tmp_path / "constants.bin").write_bytes(block.content)
+    place = "." if wine else str(tmp_path)
+    shutil.copy(binary, tmp_path / binary.name)
+    library = binary.name if wine else str(tmp_path / binary.name)
+    token = f"{{{zlib.crc32(block.content):08x}}}"
+    given = [library, place, token, repr(unit.period), "200", str(kernel.VALUE.command)]
+    done = subprocess.run([*wine, str(driver), *given], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    resident = Resident(unit.record)
+    kernel.car_begin(resident)
+    for k in range(200):
+        unit.record.values[kernel.VALUE.command] = (k % 41 - 20) / 512.0
+        assert kernel.car_step(resident) == 0
+    expected = unit.record.values[kernel.VALUE.measured_x : kernel.VALUE.ended]
+    bits = [0 if math.isnan(each) else int(np.float64(each).view(np.uint64)) for each in expected]
+    assert [int(each, 16) for each in done.stdout.split()] == bits

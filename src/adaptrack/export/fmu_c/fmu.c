@@ -25,7 +25,7 @@ fmu_status fmu_refuse(const fmu *f, const char *text) {
     return FMU_ERROR;
 }
 
-static fmu_status refuse_block(const fmu *f, adaptrack_status status) {
+static fmu_status refuse_block(const fmu *f, adaptrack_error status) {
     return status == ADAPTRACK_OK ? FMU_OK
                                   : fmu_refuse(f, status < sizeof SAYS / sizeof *SAYS ? SAYS[status] : "refused");
 }
@@ -94,7 +94,7 @@ static int is_of(const char *token, const void *constants, size_t size) {
 static fmu_status lay(fmu *f) {
     uint64_t *record = adaptrack_block_record(f->memory);
     size_t size = adaptrack_block_memory(f->constants, f->size);
-    adaptrack_status status = adaptrack_block_lay(&f->unit->reader, f->memory, size, f->constants, f->size);
+    adaptrack_error status = adaptrack_block_lay(&f->unit->reader, f->memory, size, f->constants, f->size);
     if (status != ADAPTRACK_OK) return refuse_block(f, status);
     f->values = (double *)(uintptr_t)record[0], f->count = (size_t)record[1];
     f->kinds = (const int64_t *)(uintptr_t)record[2];
@@ -104,7 +104,7 @@ static fmu_status lay(fmu *f) {
 
 fmu *fmu_open(const fmu *given, const char *name, const char *token, const char *resources) {
     fmu *f = calloc(1, sizeof *f);
-    adaptrack_status status = ADAPTRACK_BAD_ARGUMENT;
+    adaptrack_error status = ADAPTRACK_BAD_ARGUMENT;
     if (!f) return NULL;
     *f = *given;
     snprintf(f->name, sizeof f->name, "%s", name ? name : "");
@@ -157,7 +157,7 @@ static fmu_status judged(fmu *f, int64_t status) {
 
 /* Call one of the unit's kernels. */
 static fmu_status run(fmu *f, int64_t (*kernel)(void *)) {
-    adaptrack_status status = adaptrack_block_take(f->memory);
+    adaptrack_error status = adaptrack_block_take(f->memory);
     int64_t answer;
     if (status != ADAPTRACK_OK) return refuse_block(f, status);
     answer = kernel(adaptrack_block_record(f->memory));
