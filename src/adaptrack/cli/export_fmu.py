@@ -66,4 +66,5 @@ def export_fmu(given: FMUOptions) -> None:
         show.say_json({"files": [str(each) for each in made], "fmi": given.fmi, "period": controller.period})
         return
     for unit, file in zip(units, made, strict=True):
-        show.say(f"{file}: {unit.title}, FMI {given.fmi.value}, a step is {unit.period:g} s, {file.stat().st_size:,} bytes")
+        size = file.stat().st_size
+        show.say(f"{file}: {unit.title}, FMI {given.fmi.value}, a step is {unit.period:g} s, {size:,} bytes")

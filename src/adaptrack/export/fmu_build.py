@@ -26,8 +26,10 @@ from adaptrack.core.build.units import PLANTS, UNITS
 HERE = Path(__file__).parent
 BUILT = HERE / "built"
 MANIFEST = "fmu.json"
-SOURCES = (*(HERE / "fmu_c" / each for each in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
-           *(HERE / "c" / each for each in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")))  # fmt: skip
+SOURCES = (
+    *(HERE / "fmu_c" / each for each in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
+    *(HERE / "c" / each for each in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
+)
 MEMBERS = (
     "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
     *PLANTS,
