@@ -34,7 +34,7 @@ PLANT = at.DualTrack(CAR)
 
 @cache
 def country():
-    road = at.load_road("country", seed=3, length=300.0)
+    road = at.load_road("country", seed=3, length=180.0)
     return at.RoadDrive(road, at.plan_speed(road, CAR), wind=4.0)
 
 
@@ -262,7 +262,7 @@ def test_an_instance_that_is_reset_begins_anew(folder):
         (lambda car: car.fmu.setFloat64([3], [1.0]), "of another type"),
         (lambda car: car.fmu.getFloat64([999]), "does not exist"),
         (lambda car: car.restore(car.saved()[:-8]), "the state is of another FMU"),
-        (lambda car: car.restore(car.saved()[:99] + b"!" + car.saved()[100:]), "damaged"),
+        (lambda car: car.restore(flipped(car.saved(), 99)), "damaged"),
         (lambda car: car.fmu.enterInitializationMode(startTime=0.0), "reset first"),
     ],
 )
@@ -272,10 +272,26 @@ def test_a_wrong_call_is_refused_and_changes_nothing(wrong, says, folder, capfd)
     before = instance.saved()
     with pytest.raises(Exception, match="failed"):
         wrong(instance)
+    assert says in "".join(capfd.readouterr())
     instance.set(command=0.01, friction_rear_left=0.9)
     assert instance.saved() == before
     capfd.readouterr()
     instance.free()
+
+
+def flipped(content, place):
+    return content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :]
+
+
+def test_no_flipped_byte_of_a_state_is_taken(folder, capfd):
+    instance = Instance(car(folder), folder)
+    instance.step(command=0.01)
+    state = instance.saved()
+    for place in (*range(100), *range(100, len(state), 997)):
+        with pytest.raises(Exception, match="failed"):
+            instance.restore(flipped(state, place))
+    assert instance.saved() == state
+    capfd.readouterr()
 
 
 def test_damaged_constants_are_refused(folder, tmp_path, capfd):
@@ -283,9 +299,7 @@ def test_damaged_constants_are_refused(folder, tmp_path, capfd):
     with zipfile.ZipFile(car(folder)) as archive:
         archive.extractall(unpacked)
     place = unpacked / "resources" / "constants.bin"
-    content = bytearray(place.read_bytes())
-    content[len(content) // 2] ^= 1
-    place.write_bytes(content)
+    place.write_bytes(flipped(place.read_bytes(), 5000))
     with pytest.raises(Exception, match="nstantiate"):
         Instance(car(folder), tmp_path)
 

@@ -197,7 +197,7 @@ def _columns(values: tuple[Value, ...]) -> tuple[NDArray[Any], ...]:
 def _world(plant: Plant, profile: str | Profile, driver: Driver | None, period: float | None) -> World:
     """The world of a car alone: it has no reference, from which it could come away."""
     known = load_profile(profile)
-    if plant.steering is None:
+    if getattr(plant, "steering", None) is None:
         plant = plant.with_steering(known.steering)
     rule = Failure(distance=math.inf, sideslip=Failure.of(plant).sideslip)
     return World(plant, known, known.period if period is None else period, driver, None, rule)

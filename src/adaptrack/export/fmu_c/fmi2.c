@@ -161,7 +161,7 @@ PUBLIC(fmi2GetFMUstate)(ME, fmi2FMUstate *state) {
 }
 
 PUBLIC(fmi2SetFMUstate)(ME, fmi2FMUstate state) {
-    return me ? (fmi2Status)fmu_restore(me, state, fmu_state_size(me)) : fmi2Error;
+    return me ? (fmi2Status)fmu_restore(me, state) : fmi2Error;
 }
 
 PUBLIC(fmi2FreeFMUstate)(ME, fmi2FMUstate *state) {

@@ -166,7 +166,7 @@ PUBLIC(fmi3GetFMUState)(ME, fmi3FMUState *state) {
 }
 
 PUBLIC(fmi3SetFMUState)(ME, fmi3FMUState state) {
-    return instance ? (fmi3Status)fmu_restore(instance, state, fmu_state_size(instance)) : fmi3Error;
+    return instance ? (fmi3Status)fmu_restore(instance, state) : fmi3Error;
 }
 
 PUBLIC(fmi3FreeFMUState)(ME, fmi3FMUState *state) {

@@ -12,10 +12,10 @@
 enum { TIME = 0, PERIOD = 1 };
 enum { FAILED = 1, NO_DELAY = 2 }; /* adaptrack.core.units.contract */
 static const double CLOSE = 1e-3;  /* share of a period by which times of the master may be off */
-enum { LINE = 64, LONGEST = 100000000, SAVED = 24 };
+enum { LINE = 64, LONGEST = 100000000 };
 static const char *const SAYS[] = {
     "", "a null pointer or a wrong size", "too little memory", "not initialised", "another thread is in this instance",
-    "resources/constants.bin is damaged", "resources/constants.bin is of another version of adaptrack",
+    "constants or state are damaged", "resources/constants.bin is of another version of adaptrack",
     "resources/constants.bin is of another kind", "resources/constants.bin has other sizes",
     "the state was saved under other constants", "the state was saved on another path",
     "the processor does not round to nearest, or takes subnormal numbers for zero"};
@@ -232,28 +232,36 @@ fmu_status fmu_get(fmu *f, uint32_t reference, int type, double *value) {
     return FMU_OK;
 }
 
-/* -- its state: mode, stale, start, then the block's ---------------------------------------------------------------- */
-size_t fmu_state_size(const fmu *f) { return SAVED + adaptrack_block_state_size(f->memory); }
+/* -- its state: size, mode, stale, start, CRC-32 of these, then the block's ------------------------------------------ */
+typedef struct {
+    uint64_t size;
+    int64_t mode, stale;
+    double start;
+    uint64_t sum;
+} saved;
+
+size_t fmu_state_size(const fmu *f) { return sizeof(saved) + adaptrack_block_state_size(f->memory); }
 
 fmu_status fmu_save(fmu *f, void *state, size_t size) {
-    int64_t head[2] = {(int64_t)f->mode, f->stale};
-    if (!state || size < fmu_state_size(f)) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
-    memcpy(state, head, sizeof head);
-    memcpy((char *)state + sizeof head, &f->start, sizeof f->start);
-    return refuse_block(f, adaptrack_block_save(&f->unit->reader, f->memory, (char *)state + SAVED, size - SAVED));
+    saved head = {fmu_state_size(f), (int64_t)f->mode, f->stale, f->start, 0};
+    char *rest = (char *)state + sizeof head;
+    if (!state || size < head.size) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
+    head.sum = adaptrack_crc32(&head, offsetof(saved, sum));
+    memcpy(state, &head, sizeof head);
+    return refuse_block(f, adaptrack_block_save(&f->unit->reader, f->memory, rest, size - sizeof head));
 }
 
-fmu_status fmu_restore(fmu *f, const void *state, size_t size) {
-    int64_t head[2];
-    double start;
+fmu_status fmu_restore(fmu *f, const void *state) {
+    saved head;
     fmu_status status;
-    if (!state || size != fmu_state_size(f)) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
-    memcpy(head, state, sizeof head);
-    memcpy(&start, (const char *)state + sizeof head, sizeof start);
-    if (head[0] < FMU_MADE || head[0] > FMU_FAILED || head[1] < 0 || head[1] > 1 || !(start - start == 0.0))
-        return refuse_block(f, ADAPTRACK_DAMAGED);
-    status = refuse_block(f, adaptrack_block_restore(&f->unit->reader, f->memory, (const char *)state + SAVED, size - SAVED));
+    if (!state) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
+    memcpy(&head.size, state, sizeof head.size);
+    if (head.size != fmu_state_size(f)) return fmu_refuse(f, "the state is of another FMU");
+    memcpy(&head, state, sizeof head);
+    if (head.sum != adaptrack_crc32(&head, offsetof(saved, sum))) return fmu_refuse(f, "the state is damaged");
+    status = refuse_block(f, adaptrack_block_restore(&f->unit->reader, f->memory, (const char *)state + sizeof head,
+                                                     (size_t)head.size - sizeof head));
     if (status != FMU_OK) return status;
-    f->mode = (fmu_mode)head[0], f->stale = (int)head[1], f->start = start;
+    f->mode = (fmu_mode)head.mode, f->stale = (int)head.stale, f->start = head.start;
     return FMU_OK;
 }

@@ -58,7 +58,7 @@ fmu_status fmu_set(fmu *, uint32_t reference, int type, double value);
 fmu_status fmu_get(fmu *, uint32_t reference, int type, double *value);
 size_t fmu_state_size(const fmu *);
 fmu_status fmu_save(fmu *, void *state, size_t size);
-fmu_status fmu_restore(fmu *, const void *state, size_t size);
+fmu_status fmu_restore(fmu *, const void *state);
 /* FMU_ERROR, and a word to the logger. */
 fmu_status fmu_refuse(const fmu *, const char *text);
 #endif
