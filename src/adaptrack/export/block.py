@@ -102,7 +102,7 @@ class Block:
 
     @property
     def checksum(self) -> int:
-        """CRC-32, by which constants are told apart."""
+        """CRC-32, by which constants are known again."""
         return int(PRELUDE.unpack_from(self.content)[2])
 
     @property
@@ -146,8 +146,8 @@ def pack(
 
     name: of the kind of record, which the reader must expect; roles: by dotted names of arrays or of records of them
     (``mpc.ws``), the longest one that fits counts, `Role.KEPT` where none does; resets: array of rows -> field ->
-    value that it gets when constants are replaced; outside: arrays that the C program gives, so that they have no words
-    here.
+    value that it gets when constants are replaced (of arrays that there are, like `starts`); outside: arrays that the
+    C program gives, so that they have no words here.
 
     Raises
     ------
@@ -163,6 +163,7 @@ def pack(
     changes = [
         (home[rows] + _offset(laid.part(rows).values, each), _bits(value))
         for rows, fields in (resets or {}).items()
+        if rows in home
         for each, value in fields.items()
     ]
     begins = [
@@ -175,16 +176,16 @@ def pack(
     runs = _runs(memory)
     shape = repr((name, len(memory), places, links, begins, laid.shapes, laid.outside)).encode()
     tables = [*places, *links, *begins, *runs]
-    body = b"".join(struct.pack(f"<{len(row)}I", *row) for row in tables)
-    body += bytes(-len(body) % 8)
-    body += b"".join(struct.pack("<QQ", word, value) for word, value in changes)
-    body += b"".join(memory[first : first + count].tobytes() for first, count in runs)
+    rest = b"".join(struct.pack(f"<{len(row)}I", *row) for row in tables)
+    rest += bytes(-len(rest) % 8)
+    rest += b"".join(struct.pack("<QQ", word, value) for word, value in changes)
+    rest += b"".join(memory[first : first + count].tobytes() for first, count in runs)
     header = Header(
-        int(library.kernels_hash()[:16], 16), PRELUDE.size + HEADER.size + len(body), _number(name), zlib.crc32(shape),
+        int(library.kernels_hash()[:16], 16), PRELUDE.size + HEADER.size + len(rest), _number(name), zlib.crc32(shape),
         len(memory), len(laid.words), laid.first[Role.RENEWED], laid.first[Role.KEPT], len(places), len(links),
         len(begins), len(runs), len(changes),
     )  # fmt: skip
-    behind = HEADER.pack(*header) + body
+    behind = HEADER.pack(*header) + rest
     content = PRELUDE.pack(MAGIC, FORMAT, zlib.crc32(behind)) + behind
     functions = tuple(sorted({function for _, function in laid.links}))
     if len({_number(each) for each in functions}) < len(functions):

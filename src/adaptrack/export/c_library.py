@@ -19,6 +19,7 @@ from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.core import library, path, road
+from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.tracker.records import SAMPLE, TRACKED, LawTracking, Tracker, Tracking
 from adaptrack.export.block import Block
@@ -104,9 +105,9 @@ def export_c(
     files = kernel_files(targets, objects)
     world = load_profile(profile)
     way = load_road(road) if isinstance(road, str) else road
-    body = DualTrack(controller.vehicle) if plant is None else plant
+    driven_car = DualTrack(controller.vehicle) if plant is None else plant
     speed = plan_speed(way, controller.vehicle) if plan is None else plan
-    driven = record_drive(controller, body, way, speed, world)
+    driven = record_drive(controller, driven_car, way, speed, world)
     name = next(iter(files))
     texts = _texts(controller, block, driven, name, tuple(files))
     target = Path(folder)
@@ -191,16 +192,23 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
 
 
 def _config(controller: Controller, block: Block) -> str:
+    suspects = "\n".join(
+        f"#define ADAPTRACK_SUSPECT_{name.upper()} (UINT64_C(1) << {bit})" for bit, name in enumerate(MISTAKES._fields)
+    )
     return f"""\
 /* adaptrack: what was exported. {_printable(repr(controller))} */
 #ifndef ADAPTRACK_CONFIG_H
 #define ADAPTRACK_CONFIG_H
+#include <stdint.h>
 
 #define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
 #define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
 #define ADAPTRACK_SIZE {64 + block.memory_size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {48 + block.state_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
+
+/* Bits of adaptrack_answer.suspect: what an input seems to be. */
+{suspects}
 
 #ifdef __cplusplus
 extern "C" {{

@@ -1,8 +1,7 @@
-"""A drive that travels with an exported controller: what was measured, and what the tracker in Python answered."""
+"""A drive that travels with an exported controller: what was measured, and what the tracker answered here."""
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,8 +13,10 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
-from adaptrack.control.tracker import Tracked, Tracker
 from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.tracker.records import SAMPLE as CALL
+from adaptrack.core.tracker.records import TRACKED
+from adaptrack.export.tracking import Twin
 from adaptrack.road import Road, SpeedPlan, plan_speed, road_through
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.road.speed import constant_speed
@@ -27,10 +28,10 @@ SPACING = 5.0
 """m, between the points of the path: what a planner would send."""
 AHEAD = 10.0
 """s, at the highest speed, that the path goes on behind the end of the record."""
-SAMPLE = ("t", "now", "x", "y", "yaw", "speed", "yaw_rate", "vy", "lateral_acceleration", "wheel_angle")
-"""Columns of `Recorded.samples`, as in `core.tracker`; friction and wind are not known."""
-ANSWER = ("command", "status", "offset", "heading_error", "station")
-"""Columns of `Recorded.answers`."""
+SAMPLE = CALL._fields[:10]
+"""Columns of `Recorded.samples`; friction and wind are not known."""
+ANSWER = TRACKED._fields[:5]
+"""Columns of `Recorded.answers`: command, status, offset, heading error, station."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ def record_drive(
     seconds: float = 60.0,
     seed: int = 0,
 ) -> Recorded:
-    """Drive the beginning of a road with a copy of a controller behind a `Tracker`, and keep what went in and out.
+    """Drive the beginning of a road with a controller behind a tracker, and keep what went in and out.
 
     The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors.
 
@@ -102,11 +103,12 @@ def _points(road: Road, seconds: float, fastest: float) -> tuple[Array, bool]:
 class _Driver(Controller):
     """A tracker as the controller of a simulated drive; what it is given and gives is kept."""
 
+    period: float
     sees_all_sensors = True
 
     def __init__(self, controller: Controller, path: Road, plan: SpeedPlan, seconds: float) -> None:
         self.period, self.limits, self.vehicle = controller.period, controller.limits, controller.vehicle
-        self.plan, self._tracker = plan, Tracker(copy.deepcopy(controller), path, plan=plan)
+        self.plan, self._twin = plan, Twin(controller, path, plan)
         self._instant, self._seconds = 0, seconds
         self.samples: list[tuple[float, ...]] = []
         self.answers: list[tuple[float, ...]] = []
@@ -123,32 +125,9 @@ class _Driver(Controller):
         x, y = float(foot.x) - offset * math.sin(foot.heading), float(foot.y) + offset * math.cos(foot.heading)
         rest = [float(measured[i]) for i in (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration)]
         sample = (now - age, now, x, y, yaw, float(speed), *rest, float(measured[MEASURED.wheel_angle]))
-        found = call(self._tracker, sample)
+        found = self._twin.call(sample)
         if now < self._seconds:
             self.samples.append(sample)
-            self.answers.append(answer_row(found))
+            self.answers.append(tuple(found[:5].tolist()))
         self._instant += 1
-        return found.command
-
-
-def call(tracker: Tracker, sample: Any) -> Tracked:
-    """A call of a tracker in Python with a row of `SAMPLE`."""
-    t, now, x, y, yaw, speed, yaw_rate, vy, pull, wheel = (float(each) for each in sample)
-    return tracker.step(
-        t, x, y, yaw, speed, yaw_rate, now=None if math.isnan(now) else now, lateral_velocity=vy,
-        lateral_acceleration=pull, wheel_angle=wheel,
-    )  # fmt: skip
-
-
-def answer_row(found: Tracked) -> tuple[float, ...]:
-    """What a call in Python gives, as a row of `ANSWER`."""
-    return found.command, float(STATUSES[found.status]), found.offset, found.heading_error, found.station
-
-
-STATUSES: dict[str, int] = {
-    name: place
-    for place, name in enumerate(
-        ("ok", "estimated", "held", "standing", "reverse", "off-path", "end", "sliding", "repeated", "no-time")
-    )
-}
-"""`Status` in Python -> `adaptrack_status` in C, and `core.tracker.records`."""
+        return float(found[TRACKED.command])

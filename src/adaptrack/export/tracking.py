@@ -6,15 +6,22 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import LQR, MPC, Controller, PurePursuit, Stanley
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.tracking import tracking_of
+from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.records import LawTracking, Tracking
+from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.export.block import Block, Role, Start, pack
+from adaptrack.road import Road, SpeedPlan
 
 ROLES = {
     "tracker.settings": Role.FIXED,
+    "tracker.check.settings": Role.FIXED,
     "scheduling.schedule.settings": Role.FIXED,
     "scheduling.schedule.integers": Role.FIXED,
     "scheduling.schedule.numbers": Role.FIXED,
@@ -39,14 +46,12 @@ STARTS = (Start("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
 RESETS = {"step.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
 OUTSIDE = ("tracker.path", "tracker.plan")
-MPC_STEP, LAW_STEP = "tracker_step", "tracker_step_law"
-"""The kernels of a whole call."""
 Room = tuple[int, int]
 
 
 def step_kernel(controller: Controller) -> str:
     """The kernel of a whole call with a controller."""
-    return MPC_STEP if isinstance(controller, MPC) else LAW_STEP
+    return "tracker_step" if isinstance(controller, MPC) else "tracker_step_law"
 
 
 def refuse(controller: Any) -> None:
@@ -81,10 +86,10 @@ def room_of(controller: MPC, room: Room | None = None) -> Room:
         When that is less than they ask for, or more than the controller was made for.
     """
     tuning = controller.tuning
-    asked = [(tuning.Np, tuning.Nc)]
+    needed = [(tuning.Np, tuning.Nc)]
     if isinstance(controller.scheduler, CompiledScheduler):
-        asked.append(controller.scheduler.largest)
-    least = max(each for each, _ in asked), max(each for _, each in asked)
+        needed.append(controller.scheduler.largest)
+    least = max(each for each, _ in needed), max(each for _, each in needed)
     most = controller.longest_horizon, controller.most_moves
     found = (min(least[0], most[0]), min(least[1], most[1])) if room is None else room
     if room is not None and not (least[0] <= room[0] <= most[0] and least[1] <= room[1] <= most[1]):
@@ -107,22 +112,33 @@ def tracking_block(controller: Any, room: Room | None = None, furthest: float = 
     """
     refuse(controller)
     none: Any = None  # the C program gives path and plan
-    record = tracking_of(controller, none, furthest=furthest)
-    record = with_room(controller, record, room)
+    record = small_record_of(controller, none, None, furthest, room)
     kind = Tracking if isinstance(controller, MPC) else LawTracking
     return pack(record, kind.__name__, ROLES, STARTS, RESETS, OUTSIDE)
 
 
-def with_room(controller: Any, record: Any, room: Room | None = None) -> Any:
-    """The record of a tracker with a controller, of an MPC with memory for no longer horizons than it needs."""
-    if not isinstance(controller, MPC):
-        return record
-    return record._replace(step=record.step._replace(mpc=_small(controller, room_of(controller, room))))
+def record_of(controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0) -> Any:
+    """A tracker with a controller at its start, with what that has learned so far; see `tracking_of`."""
+    record = tracking_of(controller, path, plan, furthest)
+    if isinstance(controller, MPC):
+        record = record._replace(step=record.step._replace(mpc=_with_learned(controller, controller.settings())))
+    return record
 
 
-def _small(controller: MPC, room: Room) -> Any:
-    """The MPC with memory for horizons so long, with what it has learned."""
-    mpc = controller.batch(1, controller.settings(*room, residuals=False), curved=True)
+def small_record_of(
+    controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, room: Room | None = None
+) -> Any:
+    """`record_of`, of an MPC with memory for no longer horizons than it needs (`room_of`)."""
+    record = record_of(controller, path, plan, furthest)
+    if isinstance(controller, MPC):
+        small = controller.settings(*room_of(controller, room), residuals=False)
+        record = record._replace(step=record.step._replace(mpc=_with_learned(controller, small)))
+    return record
+
+
+def _with_learned(controller: MPC, settings: Any) -> Any:
+    """The MPC under some settings."""
+    mpc = controller.batch(1, settings, curved=True)
     if controller.learner is not None:
         learned = controller.learner.again(controller._mpc.informed.learned[0])
         mpc.informed.fresh[:] = learned
@@ -130,6 +146,20 @@ def _small(controller: MPC, room: Room) -> Any:
     return mpc
 
 
-def names_of(blocks: Sequence[Block]) -> list[str]:
-    """The kernels whose addresses blocks hold."""
-    return sorted({name for each in blocks for name in each.functions})
+class Twin:
+    """The same calls as an exported controller's, by the same kernels in this process; for the checks of an export."""
+
+    def __init__(
+        self, controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0
+    ) -> None:
+        refuse(controller)
+        record = record_of(controller, path, plan, furthest)
+        self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
+        self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
+
+    def call(self, sample: Sequence[float]) -> NDArray[np.float64]:
+        """What a call gives, a row of `core.tracker.records.TRACKED`; sample: the first entries of one of `SAMPLE`."""
+        self._sample[:] = math.nan
+        self._sample[: len(sample)] = sample
+        self._run()
+        return self._tracked.copy()

@@ -15,7 +15,6 @@ from adaptrack.base.checked import Bound, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import MPC, Controller
-from adaptrack.control.tracking import tracking_of
 from adaptrack.core.build.header import remarks
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.period import Given
@@ -24,7 +23,7 @@ from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import Role
-from adaptrack.export.tracking import ROLES, refuse, with_room
+from adaptrack.export.tracking import ROLES, refuse, small_record_of
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -165,7 +164,7 @@ def controller_unit(
         When the controller, or a part of it, is not compiled ahead of time.
     """
     refuse(made)
-    tracking = with_room(made, tracking_of(made, path, plan, furthest))
+    tracking = small_record_of(made, path, plan, furthest)
     expected = made.model.dead_time if isinstance(made, MPC) else 0.0
     starts = {
         "period": (made.period,), "expected_delay": (expected,), "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),

@@ -25,7 +25,7 @@ from .objects import undefined
 from .units import PLANTS, UNITS
 
 KERNELS = (
-    "mpc_step", "stanley", "pure_pursuit", "lqr", "schedule_step", "supervise", "discretise_single_track",
+    "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through", "mpc_step", "stanley", "pure_pursuit", "lqr", "schedule_step", "supervise", "discretise_single_track",
     "discretise_path", "kalman", "learn_car", "believe", "bend_of", "foot_about", "nearest_foot", "elementary_values",
 )  # fmt: skip
 """What an exported controller, its tracker and its path may call, and members that a record has the address of."""

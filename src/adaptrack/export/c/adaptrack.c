@@ -177,6 +177,7 @@ adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, c
 static int small(double value) { return value > -1000.0 && value < 1000.0 ? (int)value : 0; }
 
 static void read_answer(const double *tracked, adaptrack_answer *answer) {
+    double suspect;
     answer->command = tracked[ADAPTRACK_TRACKED_COMMAND];
     answer->offset = tracked[ADAPTRACK_TRACKED_OFFSET];
     answer->heading_error = tracked[ADAPTRACK_TRACKED_HEADING_ERROR];
@@ -184,8 +185,8 @@ static void read_answer(const double *tracked, adaptrack_answer *answer) {
     answer->status = (adaptrack_status)small(tracked[ADAPTRACK_TRACKED_STATUS]);
     answer->belief = small(tracked[ADAPTRACK_TRACKED_BELIEF_STATE]);
     answer->at_bound = small(tracked[ADAPTRACK_TRACKED_BELIEF_AT_BOUND]);
-    answer->suspect = (uint32_t)(tracked[ADAPTRACK_TRACKED_SUSPECT] >= 0.0 && tracked[ADAPTRACK_TRACKED_SUSPECT] < 4294967295.0
-                                     ? tracked[ADAPTRACK_TRACKED_SUSPECT] : 0.0);
+    suspect = tracked[ADAPTRACK_TRACKED_SUSPECT];
+    answer->suspect = suspect >= 1.0 && suspect < 9e15 ? (uint64_t)suspect : 0u;
 }
 
 adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer) {

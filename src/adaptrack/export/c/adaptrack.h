@@ -110,7 +110,7 @@ typedef struct {
     int belief;           /* in what is learned of the car: 0 still learning, 1 settled, 2 at the end of a range,
                              3 contradictory; -1 where nothing is learned */
     int at_bound;         /* 1, 2, ...: the learned quantity that is at the end of its range (docs/learning.md) */
-    uint32_t suspect;     /* bits: inputs that contradict each other since the tracker engaged (docs/tracker.md) */
+    uint64_t suspect;     /* ADAPTRACK_SUSPECT_...: inputs that contradict each other, since the tracker engaged */
 } adaptrack_answer;
 
 /* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest.

@@ -148,15 +148,44 @@ static int is_ready(const void *memory) {
     return memory && (uintptr_t)memory % 8u == 0 && ((const adaptrack_head *)memory)->mark == MARK;
 }
 
+/* The words of a block, one after the other. */
+typedef struct {
+    const block *b;
+    const unsigned char *data;
+    uint32_t run, begin, end, at;
+} cursor;
+
+static void next_run(cursor *r) {
+    r->data += 8u * (size_t)(r->end - r->begin);
+    r->begin = r->run < r->b->runs ? four(r->b->run + 8u * r->run) : r->b->words;
+    r->end = r->run < r->b->runs ? r->begin + four(r->b->run + 8u * r->run + 4u) : r->b->words;
+    r->run++;
+}
+
+static cursor read_from(const block *b, uint32_t first) {
+    cursor r = {b, b->data, 0, 0, 0, first};
+    next_run(&r);
+    return r;
+}
+
+static uint64_t next_word(cursor *r) {
+    uint32_t i = r->at++;
+    while (i >= r->end && r->begin < r->b->words) next_run(r);
+    return i >= r->begin && i < r->end && r->begin < r->b->words ? eight(r->data + 8u * (size_t)(i - r->begin)) : 0;
+}
+
 /* Write the words from `first` to before `last` as the block has them. */
 static void fill(const block *b, uint64_t *words, uint32_t first, uint32_t last) {
-    const unsigned char *data = b->data;
-    for (uint32_t i = first; i < last; i++) words[i] = 0;
-    for (uint32_t k = 0; k < b->runs; k++) {
-        uint32_t begin = four(b->run + 8u * k), count = four(b->run + 8u * k + 4u);
-        for (uint32_t i = 0; i < count; i++, data += 8)
-            if (begin + i >= first && begin + i < last) words[begin + i] = eight(data);
-    }
+    cursor r = read_from(b, first);
+    for (uint32_t i = first; i < last; i++) words[i] = next_word(&r);
+}
+
+/* Whether they are so. */
+static int is_as_in(const block *b, const uint64_t *words, uint32_t first, uint32_t last) {
+    cursor r = read_from(b, first);
+    for (uint32_t i = first; i < last; i++)
+        if (words[i] != next_word(&r)) return 0;
+    return 1;
 }
 
 /* Write the addresses of arrays and functions into the record. */
@@ -167,23 +196,6 @@ static void connect(const adaptrack_reader *reader, const block *b, uint64_t *wo
         const adaptrack_function *found = function_of(reader, four(b->link + 8u * i + 4u));
         if (found) words[four(b->link + 8u * i)] = (uint64_t)(uintptr_t)found->function;
     }
-}
-
-/* Whether a stretch of words is, up to `count`, as the block has it. */
-static int is_as_in(const block *b, const uint64_t *words, uint32_t first, uint32_t count) {
-    const unsigned char *data = b->data;
-    uint32_t last = first + count, at = first;
-    for (uint32_t k = 0; k < b->runs; k++) {
-        uint32_t begin = four(b->run + 8u * k), many = four(b->run + 8u * k + 4u);
-        for (; at < last && at < begin; at++)
-            if (words[at] != 0) return 0;
-        for (; at < last && at < begin + many; at++)
-            if (words[at] != eight(data + 8u * (size_t)(at - begin))) return 0;
-        data += 8u * (size_t)many;
-    }
-    for (; at < last; at++)
-        if (words[at] != 0) return 0;
-    return 1;
 }
 
 adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory, size_t memory_size,
@@ -221,7 +233,8 @@ adaptrack_error adaptrack_block_renew(const adaptrack_reader *reader, void *memo
     words = words_of(memory);
     for (uint32_t i = 0; i < b.starts; i++) {
         uint32_t of = four(b.start + 12u * i), count = four(b.start + 12u * i + 4u);
-        if (!is_as_in(&b, words, four(b.start + 12u * i + 8u), count)) fill(&b, words, of, of + count);
+        uint32_t like = four(b.start + 12u * i + 8u);
+        if (!is_as_in(&b, words, like, like + count)) fill(&b, words, of, of + count);
     }
     fill(&b, words, 0, b.kept);
     connect(reader, &b, words);

@@ -1,0 +1,636 @@
+"""What is exported drives as it does in Python, to the bit, and no call of a C program spoils it."""
+
+import copy
+import ctypes
+import math
+import os
+import shutil
+import struct
+import subprocess
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import adaptrack as at
+import exported
+from adaptrack.cli.app import app
+from adaptrack.control.tracker import Tracker
+from adaptrack.core import library
+from adaptrack.core.kernel import INTERPRETED
+from adaptrack.export.c_library import export_c, own_target
+from adaptrack.export.recorded import record_drive
+from adaptrack.export.tracking import Twin
+from adaptrack.road import Comfort, plan_speed, road_through
+
+pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
+HERE = Path(__file__).parent
+CAR = at.load_vehicle("midsize-sedan")
+TARGET = own_target()
+ALONG = np.arange(0.0, 300.0, 5.0)
+POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
+CONTROLLERS = {
+    "informed": lambda: at.MPC(CAR, profile="road"),
+    "production": lambda: at.MPC(CAR, profile="production"),
+    "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
+    "as-written": lambda: at.published_mpc(CAR),
+    "as-released": lambda: at.get_controller("as-released", CAR),
+    "nn": lambda: at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn")),
+    "anfis": lambda: at.published_mpc(CAR, scheduler=at.load_scheduler("road-anfis")),
+    "lqr": lambda: at.LQR(CAR),
+    "stanley": lambda: at.Stanley(CAR),
+    "pure-pursuit": lambda: at.PurePursuit(CAR),
+}
+
+
+class Sample(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_double) for name in (
+        "t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "wheel_angle",
+        "friction", "wind",
+    ))  # fmt: skip
+
+
+class Answer(ctypes.Structure):
+    _fields_ = (("command", ctypes.c_double), ("offset", ctypes.c_double), ("heading_error", ctypes.c_double),
+                ("station", ctypes.c_double), ("status", ctypes.c_int), ("belief", ctypes.c_int),
+                ("at_bound", ctypes.c_int), ("suspect", ctypes.c_uint64))  # fmt: skip
+
+
+class Plan(ctypes.Structure):
+    _fields_ = (("s", ctypes.c_void_p), ("speed", ctypes.c_void_p), ("count", ctypes.c_size_t))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _exports_are_built():
+    exported.compiler()
+    try:
+        library.export_of(TARGET)
+    except library.UNUSABLE:
+        pytest.skip(f"the kernels that are exported have not been compiled: {library.BUILD}")
+
+
+@pytest.fixture(scope="module")
+def way():
+    """A path and a plan of the speed along it."""
+    path = road_through(POINTS)
+    return path, plan_speed(path, CAR, Comfort(lateral=2.0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("export")
+
+
+@pytest.fixture(scope="module")
+def library_of(folder, way):
+    """Exports by name, as libraries of this process; each is made once."""
+    made = {}
+
+    def make(name, **more):
+        key = name, *more.items()
+        if key not in made:
+            at_ = folder / f"{len(made)}-{name}"
+            controller = CONTROLLERS[name]()
+            export_c(controller, at_, road=way[0], plan=way[1], **more)
+            made[key] = Exported(at_, controller)
+        return made[key]
+
+    return make
+
+
+class Exported:
+    """An export, linked into a shared library."""
+
+    def __init__(self, folder, controller):
+        self.folder, self.controller = folder, controller
+        sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / TARGET / "adaptrack_kernels.o"]
+        command = [exported.compiler(), *exported.STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
+                   f"-I{folder}/src", *map(str, sources), "-o", str(folder / "tracker.so")]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        self.c = ctypes.CDLL(str(folder / "tracker.so"))
+        for name in ("size", "path_size", "state_size"):
+            getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
+        self.constants = (folder / "constants.bin").read_bytes()
+
+    def path(self, points, closed=False):
+        return CPath(self.c, points, closed)
+
+
+class CPath:
+    def __init__(self, c, points, closed=False, more=0):
+        self.points = np.ascontiguousarray(points, float)
+        at_ = ctypes.c_void_p(self.points.ctypes.data)
+        size = c.adaptrack_path_size(at_, ctypes.c_size_t(len(points)), int(closed)) + more
+        self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
+        self.place = ctypes.c_void_p(self.raw.ctypes.data)
+        self.error = c.adaptrack_path(at_, ctypes.c_size_t(len(points)), int(closed), self.place,
+                                      ctypes.c_size_t(size), ctypes.byref(self.flaw))  # fmt: skip
+
+
+class CTracker:
+    """A tracker in memory of this process, with margins that nobody may write to."""
+
+    MARGIN = 64
+
+    def __init__(self, made, constants=None):
+        self.c, self.constants = made.c, made.constants if constants is None else constants
+        self.size = self.c.adaptrack_size(self.constants, ctypes.c_size_t(len(self.constants)))
+        self.raw = np.full(self.size // 8 + 2 * self.MARGIN, 0xA5A5A5A5A5A5A5A5, np.uint64)
+        self.place = ctypes.c_void_p(self.raw[self.MARGIN :].ctypes.data)
+        self.error = self.init(self.constants)
+
+    def init(self, constants):
+        return self.c.adaptrack_init(self.place, ctypes.c_size_t(self.size), constants, ctypes.c_size_t(len(constants)))
+
+    def load(self, constants):
+        return self.c.adaptrack_load(self.place, constants, ctypes.c_size_t(len(constants)))
+
+    def engage(self, angle=0.0, near=math.nan):
+        return self.c.adaptrack_engage(self.place, ctypes.c_double(angle), ctypes.c_double(near))
+
+    def follow(self, path, plan=None, near=math.nan):
+        self._path = path, plan
+        given = None
+        if plan is not None:
+            self._s, self._v = (np.ascontiguousarray(each, float) for each in (plan.s, plan.speed))
+            given = ctypes.byref(Plan(self._s.ctypes.data, self._v.ctypes.data, self._s.size))
+        return self.c.adaptrack_follow(self.place, path.place, ctypes.c_double(near), given)
+
+    def step(self, sample):
+        answer = Answer(math.nan, status=-1)
+        given = Sample(*sample, *[math.nan] * (12 - len(sample)))
+        error = self.c.adaptrack_step(self.place, ctypes.byref(given), ctypes.byref(answer))
+        return error, answer
+
+    def save(self):
+        state = ctypes.create_string_buffer(self.c.adaptrack_state_size(self.place))
+        assert self.c.adaptrack_save(self.place, state, ctypes.c_size_t(len(state))) == exported.OK
+        return state.raw
+
+    def restore(self, state):
+        return self.c.adaptrack_restore(self.place, state, ctypes.c_size_t(len(state)))
+
+    @property
+    def untouched(self):
+        return all((each == 0xA5A5A5A5A5A5A5A5).all() for each in (self.raw[: self.MARGIN], self.raw[-self.MARGIN :]))
+
+
+def begun(made, way):
+    tracker, path = CTracker(made), made.path(POINTS)
+    assert (tracker.error, path.error) == (exported.OK, exported.OK)
+    assert tracker.follow(path, way[1]) == exported.OK
+    return tracker
+
+
+def calls(rng, count, path):
+    """A car that weaves along a path, its samples noisy, late, lost, doubled, broken; clock and position jump."""
+    s, t, speed = 2.0, 0.0, 12.0
+    for k in range(count):
+        t += rng.choice([0.05, 0.05, 0.05, 0.02, 0.1, 0.2])
+        speed = float(np.clip(speed + rng.normal() * 0.3, 0.0, 20.0)) if k % 400 > 20 else 0.0
+        s += 0.05 * speed
+        if s > path.length + 20.0:
+            s = 2.0
+        foot = path.at(min(s, path.length))
+        offset = 0.4 * math.sin(s / 17.0) + 0.03 * rng.normal()
+        x = float(foot.x) - offset * math.sin(foot.heading) + max(s - path.length, 0.0)
+        y = float(foot.y) + offset * math.cos(foot.heading)
+        yaw = float(foot.heading) + 0.02 * math.cos(s / 17.0) + 0.01 * rng.normal()
+        yaw_rate = speed * float(foot.curvature) + 0.02 * rng.normal()
+        now = t + rng.choice([0.0, 0.0, 0.0, 0.03, 0.15, 0.4])
+        sample = [t, now, x, y, yaw, speed, yaw_rate, 0.02 * rng.normal(), speed * yaw_rate, 0.02 * rng.normal()]
+        for i in np.flatnonzero(rng.uniform(size=10) < 0.01):
+            sample[i] = rng.choice([math.nan, math.inf, 1e300, -1e9])
+        if rng.uniform() < 0.004:
+            sample[2] += rng.choice([-40.0, 25.0])
+        if rng.uniform() < 0.004:
+            sample[:2] = [t + 5.0, t + 5.0]
+        if rng.uniform() < 0.004:
+            sample[:2] = [t - 4.0, t - 4.0]
+        yield sample
+
+
+STATUSES = [each.value for each in at.Status]
+
+
+def in_python(tracker, sample):
+    """A call of the class."""
+    t, now, x, y, yaw, speed, yaw_rate, vy, pull, wheel = sample
+    found = tracker.step(t, x, y, yaw, speed, yaw_rate, now=now if math.isfinite(now) else None, lateral_velocity=vy,
+                         lateral_acceleration=pull, wheel_angle=wheel)  # fmt: skip
+    status = STATUSES.index(found.status)
+    return found.command, float(status), found.offset, found.heading_error, found.station
+
+
+def differing(tracker, answer_of, samples):
+    """How many answers of C and of Python differ, any NaN being one; calls without a time are C's alone."""
+    count = 0
+    for sample in samples:
+        error, answer = tracker.step(sample)
+        assert error == exported.OK
+        assert math.isfinite(answer.command)
+        if not math.isfinite(sample[1]) and not math.isfinite(sample[0]):
+            assert answer.status == 9
+            continue
+        expected = answer_of(sample)
+        found = (answer.command, float(answer.status), answer.offset, answer.heading_error, answer.station)
+        count += any(struct.pack("d", a) != struct.pack("d", b) and (a == a or b == b)
+                     for a, b in zip(found, expected, strict=True))  # fmt: skip
+    return count
+
+
+def compared(library_of, way, name, steps, seed=0):
+    made = library_of(name)
+    tracker, rng = begun(made, way), np.random.default_rng(seed)
+    if made.controller.scheduler is None:
+        twin = Tracker(copy.deepcopy(made.controller), way[0], plan=way[1])
+        found = differing(tracker, lambda sample: in_python(twin, sample), calls(rng, steps, way[0]))
+    else:
+        twin = Twin(made.controller, *way)
+        found = differing(tracker, lambda sample: twin.call(sample)[:5], calls(rng, steps, way[0]))
+    assert tracker.untouched
+    return found
+
+
+@pytest.mark.parametrize("name", ["informed", "learning", "nn", "stanley"])
+def test_every_step_is_that_of_python(name, library_of, way, caplog):
+    assert compared(library_of, way, name, 400) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_twenty_thousand_steps_are_those_of_python(name, library_of, way, caplog):
+    assert compared(library_of, way, name, 20_000, seed=1) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_ten_drives_are_those_of_python(name, library_of):
+    made, kinds = library_of(name), ("country", "town", "mountain", "motorway", "lap")
+    differ = 0
+    for seed in range(10):
+        road = at.generate_road(kinds[seed % 5], seed=seed, length=500.0)
+        drive = record_drive(made.controller, at.DualTrack(CAR), road, plan_speed(road, CAR), at.load_profile("road"),
+                             seconds=20.0, seed=seed)  # fmt: skip
+        tracker, path = CTracker(made), CPath(made.c, drive.points, drive.closed)
+        assert tracker.follow(path, drive.plan) == exported.OK
+        answers = iter(drive.answers)
+        differ += differing(tracker, lambda _, answers=answers: next(answers), drive.samples)
+    assert differ == 0
+
+
+# -- constants and state ----------------------------------------------------------------------------------------------
+def same_answers(one, other, samples):
+    return all(bytes(one.step(sample)[1]) == bytes(other.step(sample)[1]) for sample in samples)
+
+
+def test_a_restored_tracker_goes_on_as_the_saved_one(library_of, way):
+    made = library_of("learning")
+    one, other, rng = begun(made, way), begun(made, way), np.random.default_rng(2)
+    for sample in calls(rng, 150, way[0]):
+        one.step(sample)
+    state = one.save()
+    samples = list(calls(rng, 150, way[0]))
+    assert other.restore(state) == exported.OK
+    assert same_answers(one, other, samples)
+
+
+def test_a_state_is_refused_under_other_constants_or_another_path(library_of, way):
+    made = library_of("informed")
+    state, tracker = begun(made, way).save(), CTracker(made)
+    before = tracker.raw.copy()
+    assert tracker.restore(state) == exported.OTHER_PATH
+    assert tracker.follow(made.path(POINTS + 1.0), way[1]) == exported.OK
+    assert tracker.restore(state) == exported.OTHER_PATH
+    assert begun(library_of("production"), way).restore(state) == exported.OTHER_CONSTANTS
+    assert begun(library_of("lqr"), way).restore(state) == exported.OTHER_CONSTANTS
+    assert (before[:64] == tracker.raw[:64]).all()
+
+
+def another_tuning(way, made, **tuning):
+    """The constants of the same controller, tuned otherwise."""
+    from adaptrack.export.tracking import tracking_block
+
+    return tracking_block(made.controller.with_tuning(tuning)).content
+
+
+def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, way):
+    made = library_of("informed")
+    tracker, other = begun(made, way), begun(made, way)
+    samples = [[0.05 * k, 0.05 * k, 0.6 * k, 0.3, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan] for k in range(60)]
+    for sample in samples[:30]:
+        tracker.step(sample)
+        other.step(sample)
+    last = tracker.step(samples[30])[1].command
+    other.step(samples[30])
+    assert tracker.load(another_tuning(way, made, R=100.0 * made.controller.tuning.R)) == exported.OK
+    changed = [tracker.step(sample)[1] for sample in samples[31:]]
+    kept = [other.step(sample)[1] for sample in samples[31:]]
+    assert abs(changed[0].command - last) <= made.controller.limits.move[1] + 1e-12
+    assert [each.status for each in changed] == [each.status for each in kept]
+    assert any(a.command != b.command for a, b in zip(changed, kept, strict=True))
+
+
+def test_the_same_constants_under_way_change_no_bit(library_of, way):
+    made = library_of("learning")
+    one, other, rng = begun(made, way), begun(made, way), np.random.default_rng(3)
+    for sample in calls(rng, 100, way[0]):
+        one.step(sample)
+        other.step(sample)
+    assert one.load(made.constants) == exported.OK
+    assert same_answers(one, other, list(calls(rng, 100, way[0])))
+
+
+def test_damaged_constants_leave_a_driving_tracker_as_it_is(library_of, way):
+    made, rng = library_of("informed"), np.random.default_rng(4)
+    one, other = begun(made, way), begun(made, way)
+    for sample in calls(rng, 20, way[0]):
+        one.step(sample)
+        other.step(sample)
+    for _ in range(200):
+        content = bytearray(made.constants)
+        content[rng.integers(len(content))] ^= int(rng.integers(1, 256))
+        assert one.load(bytes(content)) in (exported.DAMAGED, exported.OTHER_VERSION)
+        assert one.load(made.constants[: rng.integers(len(made.constants))]) == exported.DAMAGED
+    assert one.load(library_of("lqr").constants) == exported.OTHER_KIND
+    assert same_answers(one, other, list(calls(rng, 50, way[0])))
+
+
+# -- calls that are wrong ---------------------------------------------------------------------------------------------
+def test_calls_out_of_order_are_refused(library_of, way):
+    made = library_of("informed")
+    tracker = CTracker(made)
+    error, answer = tracker.step([0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0])
+    assert (error, answer.status) == (exported.OUT_OF_ORDER, -1)
+    assert math.isnan(answer.command)
+    nothing = CPath(made.c, POINTS[:3])
+    assert nothing.error == exported.BAD_PATH
+    assert tracker.follow(nothing) == exported.BAD_PATH
+    tracker.raw[:] = 0
+    assert tracker.engage() == exported.NOT_READY
+    assert tracker.step([0.0] * 7)[0] == exported.NOT_READY
+    assert made.c.adaptrack_step(None, None, None) == exported.BAD_ARGUMENT
+    assert made.c.adaptrack_init(None, ctypes.c_size_t(0), None, ctypes.c_size_t(0)) == exported.BAD_ARGUMENT
+    assert made.c.adaptrack_state_size(None) == 0
+
+
+def test_a_clock_that_goes_back_repeats_the_command(library_of, way):
+    tracker = begun(library_of("informed"), way)
+    samples = [[0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan] for k in range(20)]
+    answers = [tracker.step(sample)[1] for sample in samples]
+    error, again = tracker.step(samples[12])
+    assert (error, again.status, again.command) == (exported.OK, 8, answers[-1].command)
+    error, never = tracker.step([math.nan] * 10)
+    assert (error, never.status, never.command) == (exported.OK, 9, answers[-1].command)
+
+
+def test_an_angle_that_is_no_number_is_no_beginning(library_of, way):
+    tracker = begun(library_of("informed"), way)
+    assert tracker.engage(math.nan) == exported.BAD_ARGUMENT
+    assert tracker.engage(math.inf) == exported.BAD_ARGUMENT
+    assert tracker.engage(0.1) == exported.OK
+
+
+def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
+    tracker = begun(library_of("informed"), way)
+    tracker.raw[tracker.MARGIN + 1] |= 1  # as a call that is under way leaves it
+    assert tracker.step([0.0] * 7)[0] == exported.BUSY
+    assert tracker.load(tracker.constants) == exported.BUSY
+    assert tracker.engage() == exported.BUSY
+
+
+def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
+    made = library_of("informed")
+    assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
+        exported.TOO_SMALL, exported.TOO_SMALL
+    ]  # fmt: skip
+
+
+def test_two_threads_on_one_tracker_get_a_command_or_a_refusal(library_of, way):
+    tracker, found = begun(library_of("informed"), way), []
+
+    def call_often():
+        for k in range(1000):
+            error, answer = tracker.step([0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan])
+            found.append((error, math.isfinite(answer.command)))
+
+    threads = [threading.Thread(target=call_often) for _ in range(2)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert set(found) <= {(exported.OK, True), (exported.BUSY, False)}
+    assert tracker.untouched
+
+
+@pytest.mark.parametrize("flaw", ["few", "twice", "nan", "inf", "kink", "far"])
+def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
+    made, points, where = library_of("informed"), POINTS.copy(), 7
+    if flaw == "few":
+        points, where = points[:3], 3
+    elif flaw == "twice":
+        points[8] = points[7]
+    elif flaw == "kink":
+        points, where = np.array([[3.0 - abs(k), 0.0] for k in range(-3, 4)]), 3
+    else:
+        points[7, 0] = {"nan": math.nan, "inf": math.inf, "far": 1e9}[flaw]
+    path = CPath(made.c, points, more=100_000)
+    assert path.error == exported.BAD_PATH
+    assert path.flaw.value == where
+
+
+def test_a_plan_that_is_none_is_refused(library_of, way):
+    made = library_of("informed")
+    tracker, path = CTracker(made), made.path(POINTS)
+    length = way[0].length
+
+    class Given:
+        def __init__(self, s, speed):
+            self.s, self.speed = np.array(s, float), np.array(speed, float)
+
+    for s, speed in (([0.0, 10.0], [5.0, 5.0]), ([0.0, length], [5.0, math.nan]), ([1.0, length], [5.0, 5.0]),
+                     ([0.0, 50.0, 40.0, length], [5.0] * 4), ([0.0, length], [-1.0, 5.0])):  # fmt: skip
+        assert tracker.follow(path, Given(s, speed)) == exported.BAD_ARGUMENT
+    assert tracker.follow(path, Given([0.0, length], [5.0, 6.0])) == exported.OK
+
+
+def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_path):
+    made = library_of("informed")
+    source = tmp_path / "modes.c"
+    source.write_text(
+        "#include <fenv.h>\n#include <xmmintrin.h>\n"
+        "int flushed(int on) { _mm_setcsr(on ? _mm_getcsr() | 0x8040 : _mm_getcsr() & ~0x8040u); return 0; }\n"
+        "int rounded(int up) { return fesetround(up ? FE_UPWARD : FE_TONEAREST); }\n"
+    )
+    if os.uname().machine != "x86_64":
+        pytest.skip("sets a register of x86-64")
+    subprocess.run(
+        [exported.compiler(), "-shared", "-fPIC", str(source), "-o", str(tmp_path / "m.so"), "-lm"], check=True
+    )
+    modes, tracker = ctypes.CDLL(str(tmp_path / "m.so")), begun(made, way)
+    for mode in (modes.flushed, modes.rounded):
+        mode(1)
+        found = tracker.init(made.constants), tracker.step([0.0] * 7)[0]
+        mode(0)
+        assert found == (exported.ARITHMETIC, exported.ARITHMETIC)
+
+
+# -- the folder -------------------------------------------------------------------------------------------------------
+def test_the_library_asks_for_nothing_and_writes_nothing_static(library_of):
+    made = library_of("learning")
+    done = subprocess.run(["nm", "-u", str(made.folder / "tracker.so")], capture_output=True, text=True, check=True)
+    asked = {line.split()[-1] for line in done.stdout.splitlines()}
+    assert {each for each in asked if not each.startswith(("__cxa", "_ITM", "__gmon"))} == set()
+    (made.folder / "b").mkdir(exist_ok=True)
+    for source in (made.folder / "src").glob("*.c"):
+        found = made.folder / "b" / f"{source.stem}.o"
+        subprocess.run(["gcc", "-std=c99", "-O2", f"-I{made.folder}/include", "-c", str(source), "-o", str(found)],
+                       check=True)  # fmt: skip
+        sizes = subprocess.run(["size", "-A", str(found)], capture_output=True, text=True, check=True).stdout
+        assert all(line.split()[1] == "0" for line in sizes.splitlines() if line.startswith((".data ", ".bss ")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_make_check_says_that_no_step_differs(name, library_of):
+    made = library_of(name)
+    done = subprocess.run(["make", "-C", str(made.folder), "check"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " 0 differ" in done.stdout
+    assert "warning" not in done.stderr
+
+
+def test_the_recorded_drive_of_the_folder_does_not_differ(library_of):
+    made = library_of("informed")
+    done = subprocess.run(
+        ["make", "-C", str(made.folder), "check", "CFLAGS=-O1 -Werror"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " 0 differ" in done.stdout
+
+
+def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
+    made = library_of("informed")
+    source = tmp_path / "drive.cpp"
+    source.write_text(
+        '#include "adaptrack.hpp"\n'
+        "static adaptrack::Tracker tracker;\nstatic adaptrack::Path<20000> path;\n"
+        "int main() {\n    double points[40];\n"
+        "    for (int i = 0; i < 20; i++) { points[2 * i] = 5.0 * i; points[2 * i + 1] = 0.0; }\n"
+        "    adaptrack::Sample sample; adaptrack::Answer answer{};\n"
+        "    sample.t = 0.0; sample.x = 1.0; sample.y = 0.2; sample.yaw = 0.0; sample.speed = 10.0;\n"
+        "    if (tracker.ready() || path.through(points, 20) || tracker.follow(path) || tracker.step(sample, answer))\n"
+        "        return 1;\n    return answer.status == ADAPTRACK_STATUS_OK && answer.command < 0.0 ? 0 : 2;\n}\n"
+    )
+    subprocess.run(["make", "-C", str(made.folder), "lib"], check=True, capture_output=True)
+    command = [exported.compiler("g++"), "-std=c++17", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra",
+               "-Wconversion", "-Wpedantic", "-Werror", f"-I{made.folder}/include", str(source),
+               str(made.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(tmp_path / "drive")]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert subprocess.run([str(tmp_path / "drive")]).returncode == 0
+
+
+@pytest.mark.slow
+def test_cmake_builds_and_proves_it(library_of, tmp_path):
+    exported.compiler("cmake")
+    made = library_of("informed")
+    for command in (["cmake", "-S", str(made.folder), "-B", str(tmp_path)], ["cmake", "--build", str(tmp_path)],
+                    ["ctest", "--test-dir", str(tmp_path)]):  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+class InPython(at.Controller):
+    name = "my own"
+    period = 0.05
+
+    def step(self, state, speed, reference, variables=None, road=None):
+        return 0.0
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (InPython, "controller 'my own' is none that is compiled ahead"),
+        (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
+        (lambda: at.MPC(CAR, solver="daqp"), "QP solver 'daqp' .* is Python's"),
+        (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),
+    ],
+)
+def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, said, tmp_path):
+    with pytest.raises(at.InvalidInput, match=said):
+        export_c(make(), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_target_that_is_not_there_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(at.InvalidInput, match=r"no kernels for 'pdp11'.*make targets"):
+        export_c(CONTROLLERS["lqr"](), tmp_path / "out", targets=["pdp11"])
+    assert not (tmp_path / "out").exists()
+
+
+def test_room_is_bounded_by_tuning_and_controller():
+    from adaptrack.export.tracking import tracking_block
+
+    mpc = CONTROLLERS["informed"]()
+    with pytest.raises(at.InvalidInput, match="room for Np = 1, Nc = 1"):
+        tracking_block(mpc, (1, 1))
+    assert tracking_block(mpc, (60, 20)).memory_size > tracking_block(mpc).memory_size
+
+
+def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
+    words = ["export", "c", "--vehicle", "midsize-sedan", "--controller", "stanley", "--road", "town", "--out",
+             str(tmp_path / "out")]  # fmt: skip
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert f"make -C {tmp_path / 'out'} check" in done.output
+    names = {each.relative_to(tmp_path / "out").as_posix() for each in (tmp_path / "out").rglob("*.*")}
+    assert {"include/adaptrack.h", "include/adaptrack.hpp", "src/adaptrack.c", "main.c", "constants.bin",
+            f"lib/{TARGET}/adaptrack_kernels.o", "CMakeLists.txt", "README.md"} <= names  # fmt: skip
+    assert "@" not in (tmp_path / "out" / "README.md").read_text()
+    assert shutil.which("gcc") is not None
+
+
+# -- other processors -------------------------------------------------------------------------------------------------
+EMULATED = {
+    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
+    "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64"),
+}
+EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "2000"))
+"""Calls of each controller."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", EMULATED)
+def test_another_processor_answers_the_same_bits(target, way, folder):
+    compiler, emulator = map(exported.compiler, EMULATED[target])
+    try:
+        library.export_of(target)
+    except library.UNUSABLE:
+        pytest.skip(f"not compiled: {library.BUILD} --export {target}")
+    differ = {name: _differing_on(target, name, way, folder / f"{target}-{name}", compiler, emulator)
+              for name in CONTROLLERS}  # fmt: skip
+    assert differ == dict.fromkeys(CONTROLLERS, 0)
+
+
+def _differing_on(target, name, way, place, compiler, emulator):
+    controller, rng = CONTROLLERS[name](), np.random.default_rng(7)
+    export_c(controller, place, road=way[0], plan=way[1], targets=[target])
+    samples = np.array([[*sample, rng.uniform(0.3, 1.0), rng.choice([math.nan, 3.0])]
+                        for sample in calls(rng, EACH, way[0])])  # fmt: skip
+    head = [len(POINTS), way[1].s.size], POINTS, way[1].s, way[1].speed, samples
+    np.concatenate([np.ravel(each) for each in head]).astype(float).tofile(place / "samples")
+    sources = [HERE / "processors" / "replay.c", *(place / "src").glob("*.c"), *(place / "lib").rglob("*.o")]
+    subprocess.run([compiler, "-O1", f"-I{place}/include", f"-I{place}/src", *map(str, sources), "-o",
+                    str(place / "replay")], check=True)  # fmt: skip
+    home = ["-L", f"/usr/{compiler.removesuffix('-gcc')}"]
+    subprocess.run([emulator, *home, str(place / "replay"), str(place / "samples"), str(place / "answers")], check=True)
+    twin = Twin(controller, *way)
+    expected = np.array([twin.call(sample)[:5] for sample in samples])
+    found = np.fromfile(place / "answers").reshape(-1, 5)
+    same = (found.view(np.int64) == expected.view(np.int64)) | (np.isnan(found) & np.isnan(expected))
+    return int(np.sum(~same.all(axis=1)))
