@@ -92,7 +92,8 @@ def find_on_path(tracker, m):
     own = line(tracker)
     m.station = nearest(m.x, m.y, m.yaw, ACROSS, m.near, own)
     _, _, m.heading, _ = point_at(m.station, own)
-    m.near = math.nan
+    here = beside(tracker, pose_of(m), m.station)
+    m.offset, m.heading_error, m.near = here.offset, here.heading_error, math.nan
 
 
 @inlined
