@@ -164,7 +164,7 @@ def wind_turn(car):
     return arm * car.mass / car.yaw_inertia
 
 
-@inlined
+@exported(float64(Row(Car)))
 def understeer_gradient(car):
     """K (rad s^2/m) = m (l_r/(2 C_f) - l_f/(2 C_r))/L (Rajamani, *Vehicle Dynamics and Control*, section 3.3)."""
     return car.mass / (car.lf + car.lr) * (car.lr / (2.0 * car.stiffness_front) - car.lf / (2.0 * car.stiffness_rear))
