@@ -77,10 +77,10 @@ def vehicle_from_data_sheet(
     if status == TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
     if status == AXLES_DISAGREE:
-        given = ", ".join(f"{key} = {value:g} m" for key, value in arms.items())
+        given = " and ".join(f"{key} = {value:g} m" for key, value in arms.items())
         raise InvalidInput(
-            f"vehicle_from_data_sheet: {given}: does not make the wheelbase of {wheelbase:g} m: give lf or lr, or "
-            "neither."
+            f"vehicle_from_data_sheet: lf and lr do not make the wheelbase of {wheelbase:g} m with {given}: give one "
+            "of them, or neither."
         )
     estimates = {key: float(made[key]) for key in _ESTIMATED}
     known |= {key: estimates[key] for key in ("lf", "lr") if arms}

@@ -36,6 +36,14 @@ UNASKED = Learning(dead_times=4)
 long, and the car may leave the road before they have come down: in 41 of 400 drives of four cars, with four in none."""
 GivenLearning = Learning | Literal["auto"] | None
 _MOST = int(PREDICTION_HORIZON.most), int(CONTROL_HORIZON.most)
+_WRONG = {
+    kernel.CAR_WRONG: "a number of the car is not positive and finite: correct its file.",
+    kernel.LOOP_WRONG: "a number of the profile is negative or not finite: correct its file.",
+    kernel.STEERING_WRONG: "what is said of the steering can be no car's: correct belief, car file or profile.",
+    kernel.UNCERTAINTY_WRONG: "the uncertainty is beyond its bounds: give a smaller one.",
+    kernel.METHOD_WRONG: f"need 1 to {kernel.MOST_HYPOTHESES} hypotheses of lag and of dead time.",
+}
+"""In words what `core.synthesis.informed.informed_parts` answers."""
 UNNAMED = "road"
 """The profile whose period, preview and sensors are taken where none is named."""
 
@@ -108,7 +116,8 @@ def informed_parts(
     made = kernel.Parts.new(1)
     made["filter"] = (KalmanFilter() if estimator is None else estimator).numbers
     parts = made[0]
-    kernel.informed_parts(order, parts)
+    if wrong := kernel.informed_parts(order, parts):
+        raise InvalidInput(f"MPC: {_WRONG[wrong]}")
     filtering = KalmanFilter.of(parts.filter)
     learner = Learner(method, car, filtering, parts.learner) if parts.learns else None
     seconds = 0.0 if method.start is None else method.start.seconds

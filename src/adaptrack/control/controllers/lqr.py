@@ -150,7 +150,7 @@ def feedback(A: ArrayLike, B: ArrayLike, P: Array) -> Array:
     a, b = _models(A, B)
     found = np.empty(b.shape)
     for i in np.ndindex(b.shape[:-1]):
-        laws.lqr_feedback(a[i], b[i], P[i], found[i, ...])
+        laws.lqr_feedback(a[i], b[i], P[i], found[i])
     return found
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from ..controllers.feed_forward import turning_of
+from ..controllers.feed_forward import Turning, turning_of
 from ..controllers.mpc import Settings
 from ..estimators import kalman, learning
-from ..kernel import Place, Row, exported, float64, inlined, int64, int_vector, record, rows, several, vector, void
+from ..kernel import Place, Row, exported, float64, inlined, int64, int_vector, record, rows, several, size_of, vector
 from ..maths.exponential import hypot
 from ..models import path
 from ..models.contract import MEASURED
 from .belief import (
-    ASSUMED, LEARNED, TO_LEARN, WITH_DEAD_TIME, Belief, Bounds, Uncertainty, believe_steering, bound_commands, caution_of, is_cautious, late_by,
-    uncertainty_of_car, widen_drifts,
+    ASSUMED, LEARNED, MOST_DELAY, MOST_MASS, MOST_STIFFNESS, TO_LEARN, WITH_DEAD_TIME, Belief, Bounds, Uncertainty,
+    believe_steering, bound_commands, caution_of, is_cautious, late_by, uncertainty_of_car, widen_drifts,
 )  # fmt: skip
 from .car import Car, KnownWithin, Steering
 from .filter import USUAL_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
@@ -70,6 +70,13 @@ Constants = record(
 )
 """The numbers of an `Mpc`, in memory of the caller's."""
 
+_FILTER, _MODEL, _TURNING, _LEARNER = map(size_of, (kalman.Numbers, path.Parameters, Turning, learning.Numbers))
+MOST_TIME, LEAST = 10.0, 1e-300
+"""s, of a lag, a dead time or an age; the least that is more than nothing."""
+FINE, CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(7)
+"""What `informed_parts` and `informed_constants` answer."""
+MOST_HYPOTHESES = 12
+"""Of lag and of dead time, each."""
 UNEXPLAINED = (1.0, 0.6)
 """m/s^2, rad/s^2: what wheels that nobody has aligned push and turn a car before their bias is learned. With the
 filter's own spread, .3 and .3, the first minute of 40 unknown cars costs 1.28 instead of 1.26 in `road`."""
@@ -139,9 +146,62 @@ def _learn(order, parts):
     parts.lag, parts.dead_time = lag, dead_time + belief.computation
 
 
-@exported(void(Row(Order), Row(Parts)))
+@inlined
+def _positive(x):
+    return 0.0 < x < math.inf
+
+
+@inlined
+def _said_within(x, least, most):
+    """Whether a number lies within a range, if it is said."""
+    return math.isnan(x) or least <= x <= most
+
+
+@inlined
+def _can_be(steering):
+    """Whether a steering is one of a car; of rate and limit zero is none."""
+    delays = _said_within(steering.lag, 0.0, MOST_TIME) and _said_within(steering.dead_time, 0.0, MOST_TIME)
+    moves = _said_within(steering.rate, LEAST, math.inf) and _said_within(steering.limit, LEAST, 0.5 * math.pi)
+    return delays and moves
+
+
+@inlined
+def _wrong(order):
+    """`FINE`, or what of an order no controller can be made of."""
+    car, world, unsure, method = order.car, order.world, order.unsure, order.method
+    shape = _positive(car.mass) and _positive(car.yaw_inertia) and _positive(car.lf) and _positive(car.lr)
+    if not (shape and _positive(car.stiffness_front) and _positive(car.stiffness_rear)):
+        return CAR_WRONG
+    if not (car.frontal_area >= 0.0 and car.side_force_slope >= 0.0 and abs(car.yaw_moment_slope) < math.inf):
+        return CAR_WRONG
+    times = _positive(world.period) and 0.0 <= world.computation <= MOST_TIME and 0.0 <= world.oldest <= MOST_TIME
+    seen = world.noise_vy >= 0.0 and world.noise_yaw >= 0.0 and world.noise_yaw_rate >= 0.0
+    seen = seen and 0.0 <= world.noise_y < math.inf and world.noise_wheel_angle >= 0.0
+    seen = seen and world.noise_lateral_acceleration >= 0.0
+    off = 0.0 <= world.bias_yaw_rate < math.inf and 0.0 <= world.bias_wheel_angle < math.inf
+    if not (times and seen and off and 0.0 <= world.move_weight < math.inf):
+        return LOOP_WRONG
+    if not (_can_be(order.given) and _can_be(order.file) and _can_be(order.actuator)):
+        return STEERING_WRONG
+    if order.unsure_given > 0 and not (
+        0.0 <= unsure.lag <= MOST_DELAY and 0.0 <= unsure.dead_time <= MOST_DELAY
+        and 1.0 <= unsure.stiffness <= MOST_STIFFNESS and 0.0 <= unsure.mass <= MOST_MASS
+    ):  # fmt: skip
+        return UNCERTAINTY_WRONG
+    if not (1.0 <= method.lags <= MOST_HYPOTHESES and 1.0 <= method.dead_times <= MOST_HYPOTHESES):
+        return METHOD_WRONG
+    return FINE
+
+
+@exported(int64(Row(Order), Row(Parts)))
 def informed_parts(order, parts):
-    """Write what an informed MPC is made of; parts.filter is that of `filter.usual_filter`, or the caller's."""
+    """Write what an informed MPC is made of; parts.filter is that of `filter.usual_filter`, or the caller's.
+
+    Answers `FINE`, or what of the order is wrong: then nothing is written.
+    """
+    wrong = _wrong(order)
+    if wrong != FINE:
+        return wrong
     parts.unsure.lag, parts.unsure.dead_time = order.unsure.lag, order.unsure.dead_time
     parts.unsure.stiffness, parts.unsure.mass = order.unsure.stiffness, order.unsure.mass
     believe_steering(order.given, order.file, order.actuator, order.world.computation, parts.belief)
@@ -154,6 +214,7 @@ def informed_parts(order, parts):
         _learn(order, parts)
     else:
         _know(order, parts)
+    return FINE
 
 
 @exported(several(int64, int64, int64)(Row(Order), Row(Parts)))
@@ -183,9 +244,16 @@ def _write_states(lag, states):
     states[states.size - 1] = MEASURED.y
 
 
-@exported(void(Row(Order), Row(Parts), Place(Constants)))
+@exported(int64(Row(Order), Row(Parts), Place(Constants)))
 def informed_constants(order, parts, constants):
-    """Write the numbers of an informed MPC of these parts."""
+    """Write the numbers of an informed MPC of these parts; `FINE`, or `MEMORY_TOO_SMALL`: then nothing is written."""
+    states, _, learned = informed_sizes(order, parts)
+    small = constants.tuning.size < 4 or constants.states.size != states or constants.estimator.size < _FILTER
+    small = small or constants.model.size < _MODEL or constants.turning.size < _TURNING or constants.settings.size < 1
+    if parts.learns > 0:
+        small = small or constants.learner.size < _LEARNER or constants.fresh.size < learned
+    if small:
+        return MEMORY_TOO_SMALL
     period, lag, dead_time, filtering = order.world.period, parts.lag, parts.dead_time, parts.filter
     _write_settings(order, parts, constants.settings[0])
     _write_states(lag, constants.states)
@@ -203,3 +271,4 @@ def informed_constants(order, parts, constants):
     path.write_turning(constants.model, constants.turning)
     t = turning_of(constants.turning, 0)
     t.friction, t.shape_factor = filtering.friction, filtering.shape_factor
+    return FINE

@@ -24,7 +24,7 @@ DECADES, WEIGHTS = 2.0, 9
 """Gains are computed for so many q_e/r and q_heading/r, evenly over so many decades to either side of the own ones."""
 MOST_DOUBLINGS = 60
 CONVERGED = 1e-14
-"""The largest entry of a change of P, over that of P."""
+"""The sum of the magnitudes of a change of P, over that of P."""
 LQR = len(lqr.PARAMETERS) + SPEEDS * WEIGHTS * WEIGHTS * lqr.STATES
 """Numbers of the LQR."""
 _N = lqr.STATES
@@ -144,7 +144,7 @@ def _solve(n, w, x, y):
 
 @inlined
 def _add_turned(n, f, y, z, p):
-    """P += F'Y; z: scratch. The largest entries of what is added, and of P."""
+    """P += F'Y; z: scratch. Sums of the magnitudes of what is added, and of P."""
     change, size = 0.0, 0.0
     for i in range(n):
         for j in range(n):
@@ -154,7 +154,7 @@ def _add_turned(n, f, y, z, p):
             z[n * i + j] = total
     for i in range(n * n):
         p[i] += z[i]
-        change, size = max(change, abs(z[i])), max(size, abs(p[i]))
+        change, size = change + abs(z[i]), size + abs(p[i])
     return change, size
 
 
@@ -192,10 +192,10 @@ def riccati(a, b, q, p, work):
                     total += w[n * i + k] * f[n * j + k]
                 g[n * i + j] += total
         _times(n, found, x, y)
-        change, largest = _add_turned(n, f, y, z, found)
-        if not largest < math.inf:
+        change, entries = _add_turned(n, f, y, z, found)
+        if not entries < math.inf:
             return 0
-        if change <= CONVERGED * largest:
+        if change <= CONVERGED * entries:
             for i in range(n):
                 for j in range(n):
                     p[i, j] = found[n * i + j]
