@@ -83,8 +83,9 @@ def test_what_is_given_of_a_car_stays_and_has_no_spread():
 
 
 @pytest.mark.parametrize(("given", "status"), [
-    ({"mass": 599.0}, car.MASS_OUTSIDE), ({"mass": math.nan}, car.MASS_OUTSIDE), ({"wheelbase": 9.0}, car.WHEELBASE_OUTSIDE),
-    ({"load": 2000.0}, car.TOO_MUCH_LOAD), ({"lf": 1.0, "lr": 1.0}, car.AXLES_DISAGREE), ({"lf": 3.0}, car.AXLES_DISAGREE),
+    ({"mass": 599.0}, car.MASS_OUTSIDE), ({"mass": math.nan}, car.MASS_OUTSIDE),
+    ({"wheelbase": 9.0}, car.WHEELBASE_OUTSIDE), ({"load": 2000.0}, car.TOO_MUCH_LOAD),
+    ({"lf": 1.0, "lr": 1.0}, car.AXLES_DISAGREE), ({"lf": 3.0}, car.AXLES_DISAGREE),
 ])  # fmt: skip
 def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written(given, status):
     found, made, within = completed(**given)
@@ -118,7 +119,8 @@ def test_a_delay_that_nobody_says_is_as_long_as_published_ones(said):
 
 def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
     def caution(lag=0.0, dead_time=0.0, stiffness=1.0, mass=0.0):
-        return belief.caution_of(row_of(belief.Uncertainty, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass))
+        unsure = row_of(belief.Uncertainty, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass)
+        return belief.caution_of(unsure)
 
     assert caution() == 1.0
     assert caution(lag=0.018) == caution(dead_time=0.018) == pytest.approx(2.0)

@@ -24,6 +24,7 @@ from adaptrack.peers import preview_lqr
 
 preview_lqr.SPEEDS = preview_lqr.SPEEDS[::10]  # fewer gains: in plain Python a Riccati equation takes milliseconds
 
+
 def controllers():
     """Every shipped controller, by name."""
     car = at.load_vehicle("midsize-sedan")

@@ -11,27 +11,22 @@ from adaptrack.base.checked import Finite, Hint, NotNegative, checked, real, wit
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core.synthesis.car import (
-    AXLE_COEFFICIENTS, AXLES_DISAGREE, FRONT_DISTANCE, FRONT_DISTANCE_SPREAD, MASSES, PASSENGER_CAR, STIFFNESS_FACTOR,
-    TOO_MUCH_LOAD, TRUCK, WHEELBASES, Car, complete_car,
-)  # fmt: skip
-from adaptrack.core.synthesis.car import KnownWithin as KnownWithinRow
+from adaptrack.core.synthesis import car as kernel
 from adaptrack.core.synthesis.rows import row_of
-
-__all__ = [
-    "AXLE_COEFFICIENTS", "BODY_STYLES", "FRONT_DISTANCE", "FRONT_DISTANCE_SPREAD", "MASSES", "STIFFNESS_FACTOR",
-    "WHEELBASES", "vehicle_from_data_sheet",
-]  # fmt: skip
 
 DRIVER = 75.0
 """kg, driver in the mass in running order (Regulation (EU) No 1230/2012)."""
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
 
-BODY_STYLES = {"car": PASSENGER_CAR, "truck": TRUCK}
+MASSES, WHEELBASES = kernel.MASSES, kernel.WHEELBASES
+"""kg, m: beyond these the measurements say nothing."""
+BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
-_ESTIMATED = ("lf", "lr", "cg_height", "frontal_area", "yaw_inertia", "stiffness_front", "stiffness_rear", "track_front",
-              "track_rear")  # fmt: skip
+_ESTIMATED = (
+    "lf", "lr", "cg_height", "frontal_area", "yaw_inertia", "stiffness_front", "stiffness_rear", "track_front",
+    "track_rear",
+)  # fmt: skip
 _MEASURED = Hint("the estimates are of such cars; of another, give all six numbers in a car file")
 
 
@@ -72,11 +67,11 @@ def vehicle_from_data_sheet(
         hint = did_you_mean(str(body_style), BODY_STYLES)
         raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
     arms = {key: real("vehicle_from_data_sheet", key, known.pop(key)) for key in ("lf", "lr") if key in known}
-    made, within = row_of(Car, mass=mass, **arms), row_of(KnownWithinRow)
-    status = complete_car(wheelbase, load, list(BODY_STYLES).index(body_style), made, within)
-    if status == TOO_MUCH_LOAD:
+    made, within = row_of(kernel.Car, mass=mass, **arms), row_of(kernel.KnownWithin)
+    status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), made, within)
+    if status == kernel.TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
-    if status == AXLES_DISAGREE:
+    if status == kernel.AXLES_DISAGREE:
         given = " and ".join(f"{key} = {value:g} m" for key, value in arms.items())
         raise InvalidInput(
             f"vehicle_from_data_sheet: lf and lr do not make the wheelbase of {wheelbase:g} m with {given}: give one "
@@ -85,7 +80,7 @@ def vehicle_from_data_sheet(
     estimates = {key: float(made[key]) for key in _ESTIMATED}
     known |= {key: estimates[key] for key in ("lf", "lr") if arms}
     guessed = [key for key in estimates if key not in known]
-    spreads = {key: float(within[key]) for key in guessed if key in KnownWithinRow._fields and key != "lr"}
+    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithin._fields and key != "lr"}
     known.setdefault("known_within", KnownWithin(**spreads))
     known.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
     guessed += [

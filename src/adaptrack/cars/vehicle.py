@@ -23,7 +23,7 @@ from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
-from adaptrack.core.synthesis.filter import in_periods
+from adaptrack.core.synthesis.filter import in_periods as in_periods
 from adaptrack.core.synthesis.rows import row_of
 
 if TYPE_CHECKING:
@@ -249,7 +249,10 @@ class Vehicle(Record):
         default=car.SIDE_FORCE_SLOPE, ge=0, le=100, description="1/rad, side-force coefficient per relative wind angle"
     )
     yaw_moment_slope: float = Field(
-        default=car.YAW_MOMENT_SLOPE, ge=0, le=100, description="1/rad, yaw-moment coefficient (on the wheelbase) per wind angle"
+        default=car.YAW_MOMENT_SLOPE,
+        ge=0,
+        le=100,
+        description="1/rad, yaw-moment coefficient (on the wheelbase) per wind angle",
     )
     wind_angle_limit: float = Field(
         default=0.3, gt=0, le=math.pi / 2, description="rad, both coefficients stay constant beyond it"

@@ -213,9 +213,7 @@ class KalmanFilter(Estimator):
     def parameters(self, model: PredictionModel) -> Array:
         assert isinstance(model, PathModel)
         found = np.zeros(size_of(Numbers))
-        kernel.filter_numbers(
-            self.numbers, model.vehicle.numbers, model.period, model.lag, model.dead_time, found
-        )
+        kernel.filter_numbers(self.numbers, model.vehicle.numbers, model.period, model.lag, model.dead_time, found)
         return found
 
 

@@ -39,8 +39,8 @@ class Uncertainty:
     """How far what is believed of the car may be wrong: by so much to either side.
 
     A delay that is believed too short loses the car, one that is believed too long costs little. So the controller
-    believes the `core.synthesis.belief.QUANTILE` of what lag and dead time may be, its filter lets the wheels be where the model does not
-    expect them, and the moves weigh more.
+    believes a quantile of what lag and dead time may be (`core.synthesis.belief`), its filter lets the wheels be where
+    the model does not expect them, and the moves weigh more.
     """
 
     lag: Annotated[Finite, within(0.0, kernel.MOST_DELAY), "s"] = 0.0

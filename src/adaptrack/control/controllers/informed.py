@@ -47,6 +47,7 @@ _WRONG = {
 UNNAMED = "road"
 """The profile whose period, preview and sensors are taken where none is named."""
 
+
 def _checked(period: float) -> float:
     if not 0.0 < period * period < math.inf:
         raise InvalidInput(f"MPC: period = {period!r} s: its square must be positive and finite.")

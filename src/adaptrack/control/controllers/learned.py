@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from pydantic import Field, InstanceOf
 
 from adaptrack.base.checked import Count, Finite, Hint, NotNegative, Positive, checked
-from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record, build, read_toml
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Uncertainty
@@ -337,4 +336,3 @@ class Learner:
         seconds += 0.0 if self.own.start is None else self.own.start.seconds
         at_bound = ("", *kernel.QUANTITIES_BOUNDED)[int(known["at_bound"])]
         return LearnedCar(car=self.car.name, **{**kept, "at_bound": at_bound}, seconds=seconds)
-

@@ -82,7 +82,8 @@ def believe_steering(given, car, actuator, computation, belief):
 
 @inlined
 def nobody_says(source):
-    return source == ASSUMED or source == TO_LEARN
+    """Whether a number is assumed."""
+    return source in (ASSUMED, TO_LEARN)
 
 
 @inlined

@@ -76,7 +76,6 @@ rollover rating (Walz, Trends in the Static Stability Factor, HS-809 868, and la
 kktse.github.io), mean 0.548 m, 5 to 95 % within 0.05 m; of trucks, the database of 1998. Track: a line through the same
 357 cars over mass, standard error 0.035 m, 5 to 95 % within 0.06 m; trucks lie about it.
 """
-STYLES = (PASSENGER_CAR, TRUCK)
 
 COMPLETE, MASS_OUTSIDE, WHEELBASE_OUTSIDE, TOO_MUCH_LOAD, AXLES_DISAGREE = range(5)
 """What `complete_car` answers."""
@@ -85,7 +84,8 @@ MILLIMETRES = 0.005
 
 
 @inlined
-def _or(value, estimate):
+def given_or(value, estimate):
+    """A number, or where it is not given an estimate."""
     return estimate if math.isnan(value) else value
 
 
@@ -99,8 +99,8 @@ def _spread(value, spread):
 def _place_axles(wheelbase, car):
     """Fill l_f and l_r; whether they make the wheelbase."""
     front, rear = car.lf, car.lr
-    car.lf = _or(front, _or(wheelbase - rear, to_places(FRONT_DISTANCE * wheelbase, 4)))
-    car.lr = _or(rear, to_places(wheelbase - car.lf, 6))
+    car.lf = given_or(front, given_or(wheelbase - rear, to_places(FRONT_DISTANCE * wheelbase, 4)))
+    car.lr = given_or(rear, to_places(wheelbase - car.lf, 6))
     return 0.0 < car.lf < wheelbase and abs(car.lf + car.lr - wheelbase) < MILLIMETRES
 
 
@@ -141,16 +141,16 @@ def complete_car(wheelbase, load, truck, car, within):
     per_length = 0.5 * (mass + load) * GRAVITY
     track = to_digits(style.track + style.track_per_mass * mass, 4)
     length = car.lf + car.lr
-    car.yaw_inertia = _or(car.yaw_inertia, to_digits(style.dynamic_index * mass * car.lf * car.lr, 4))
+    car.yaw_inertia = given_or(car.yaw_inertia, to_digits(style.dynamic_index * mass * car.lf * car.lr, 4))
     stiff = to_digits(AXLE_COEFFICIENTS[0] * (per_length * car.lr / length), 4)
-    car.stiffness_front = _or(car.stiffness_front, stiff)
+    car.stiffness_front = given_or(car.stiffness_front, stiff)
     stiff = to_digits(AXLE_COEFFICIENTS[1] * (per_length * car.lf / length), 4)
-    car.stiffness_rear = _or(car.stiffness_rear, stiff)
-    car.track_front, car.track_rear = _or(car.track_front, track), _or(car.track_rear, track)
-    car.cg_height = _or(car.cg_height, style.cg_height)
-    car.frontal_area = _or(car.frontal_area, style.frontal_area)
-    car.side_force_slope = _or(car.side_force_slope, SIDE_FORCE_SLOPE)
-    car.yaw_moment_slope = _or(car.yaw_moment_slope, YAW_MOMENT_SLOPE)
+    car.stiffness_rear = given_or(car.stiffness_rear, stiff)
+    car.track_front, car.track_rear = given_or(car.track_front, track), given_or(car.track_rear, track)
+    car.cg_height = given_or(car.cg_height, style.cg_height)
+    car.frontal_area = given_or(car.frontal_area, style.frontal_area)
+    car.side_force_slope = given_or(car.side_force_slope, SIDE_FORCE_SLOPE)
+    car.yaw_moment_slope = given_or(car.yaw_moment_slope, YAW_MOMENT_SLOPE)
     car.mass = mass + load
     return COMPLETE
 

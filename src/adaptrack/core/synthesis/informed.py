@@ -12,13 +12,36 @@ from ..maths.exponential import hypot
 from ..models import path
 from ..models.contract import MEASURED
 from .belief import (
-    ASSUMED, LEARNED, MOST_DELAY, MOST_MASS, MOST_STIFFNESS, TO_LEARN, WITH_DEAD_TIME, Belief, Bounds, Uncertainty,
-    believe_steering, bound_commands, caution_of, is_cautious, late_by, uncertainty_of_car, widen_drifts,
+    ASSUMED,
+    LEARNED,
+    MOST_DELAY,
+    MOST_MASS,
+    MOST_STIFFNESS,
+    TO_LEARN,
+    WITH_DEAD_TIME,
+    Belief,
+    Bounds,
+    Uncertainty,
+    believe_steering,
+    bound_commands,
+    caution_of,
+    is_cautious,
+    late_by,
+    uncertainty_of_car,
+    widen_drifts,
 )  # fmt: skip
 from .car import Car, KnownWithin, Steering
 from .filter import USUAL_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
 from .learner import (
-    UNKNOWN_CAR, Learner, Method, Start, begin_learner, first_delay, learner_memory, learner_numbers, learner_size,
+    UNKNOWN_CAR,
+    Learner,
+    Method,
+    Start,
+    begin_learner,
+    first_delay,
+    learner_memory,
+    learner_numbers,
+    learner_size,
 )  # fmt: skip
 from .tuning import CAUTION, World, tune_informed
 

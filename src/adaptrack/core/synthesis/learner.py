@@ -10,7 +10,7 @@ from ..maths.bits import whole
 from ..maths.exact import ceil, clip, sqrt, square
 from ..maths.exponential import exp, hypot, log, log1p
 from .belief import ASSUMED, Belief, Uncertainty, nobody_says, uncertainty_of_car
-from .car import PASSENGER_CAR, SIDE_FORCE_SLOPE, Car, KnownWithin, wind_turn
+from .car import PASSENGER_CAR, SIDE_FORCE_SLOPE, Car, KnownWithin, given_or, wind_turn
 from .filter import USUAL_DRIFTS, Filter, sensor_variances
 
 Method = record(
@@ -118,11 +118,6 @@ def usual_method(numbers):
 
 
 @inlined
-def _or(value, usual):
-    return usual if math.isnan(value) else value
-
-
-@inlined
 def _place(low, high, learned, sigma):
     """Middle, and half the width, of what a delay (s) may be at first; learned, sigma: in an earlier drive, or NaN."""
     if math.isnan(learned):
@@ -189,11 +184,14 @@ def begin_learner(method, start, car, within, belief, unsure, given, sensing, pe
     stiffness, mass = log(unsure.stiffness), log1p(unsure.mass)
     own.stiffness = stiffness + mass if given > 0 else max(stiffness + mass, log(MOST_STIFFNESS))
     own.stiffness_spread = SPREAD * hypot(stiffness, mass)
-    own.balance, own.bias = _or(method.balance, UNKNOWN_BALANCE), _or(method.bias, UNKNOWN_BIAS)
+    own.balance, own.bias = given_or(method.balance, UNKNOWN_BALANCE), given_or(method.bias, UNKNOWN_BIAS)
     found = car.frontal_area * car.side_force_slope / _USUAL_SIDE * WINDY / car.mass
     own.wind = method.wind * clip(found, LEAST_WINDY, MOST_WINDY)
     delay, stiff = TOLERATED_SEEN if sensing.noise.vy < math.inf else TOLERATED
-    own.tolerated, own.tolerated_stiffness = _or(method.tolerated, delay), _or(method.tolerated_stiffness, stiff)
+    own.tolerated, own.tolerated_stiffness = (
+        given_or(method.tolerated, delay),
+        given_or(method.tolerated_stiffness, stiff),
+    )
     own.longest = own.dead_time_limit + own.computation
     own.kept = whole(ceil((own.longest + sensing.oldest) / period)) + 3
 
@@ -260,6 +258,27 @@ def learner_size(own):
     return _BEFORE + own.kept + _HYPOTHESIS * own.lags * own.dead_times
 
 
+@inlined
+def _spread(p, state, deviation):
+    p[state, state] = square(deviation)
+
+
+@inlined
+def _write_spread(own, method, first, p):
+    """Variances of a filter before the first sample."""
+    _spread(p, learning.VY, 0.3)
+    _spread(p, learning.RATE, 0.1)
+    _spread(p, learning.WIND, own.wind * sqrt(0.5 * method.wind_time))
+    _spread(p, learning.BIAS, first.bias_sigma)
+    _spread(p, learning.BANK, method.bank)
+    _spread(p, learning.STIFFNESS, first.stiffness_sigma)
+    _spread(p, learning.BALANCE, first.balance_sigma)
+    _spread(p, learning.FRICTION, method.friction_spread)
+    _spread(p, learning.LAG, _grain(own.lags, own.lag_half))
+    _spread(p, learning.DEAD_TIME, _grain(own.dead_times, own.dead_time_half))
+    _spread(p, learning.OFFSET, 0.05)
+
+
 @exported(void(Row(Learner), Row(Method), Row(Start), Row(Filter), vector))
 def learner_memory(own, method, start, sensing, memory):
     """Write what is remembered before the first sample, `learner_size` numbers."""
@@ -268,7 +287,6 @@ def learner_memory(own, method, start, sensing, memory):
     sensor_variances(sensing.noise, m.noise)
     for i in range(m.noise.size):
         m.noise[i] = m.noise[i] if m.noise[i] < math.inf else 0.0
-    lag_grain, dead_grain = _grain(own.lags, own.lag_half), _grain(own.dead_times, own.dead_time_half)
     for i in range(own.lags):
         lag = _at(i, own.lags, own.lag_middle, own.lag_half, own.least_lag, own.most_lag)
         for j in range(own.dead_times):
@@ -276,18 +294,10 @@ def learner_memory(own, method, start, sensing, memory):
                 j, own.dead_times, own.dead_time_middle, own.dead_time_half, own.least_dead_time, own.most_dead_time
             )
             each = learning.hypothesis(i * own.dead_times + j, own.kept, memory)
-            x, p = each.x, each.covariance
-            x[learning.LAG], x[learning.DEAD_TIME] = lag, dead + own.computation
-            x[learning.FRICTION] = log(method.friction)
-            x[learning.STIFFNESS], x[learning.BALANCE], x[learning.BIAS] = first.stiffness, first.balance, first.bias
-            p[learning.VY, learning.VY], p[learning.RATE, learning.RATE] = square(0.3), square(0.1)
-            p[learning.WIND, learning.WIND] = square(own.wind * sqrt(0.5 * method.wind_time))
-            p[learning.BIAS, learning.BIAS], p[learning.BANK, learning.BANK] = square(first.bias_sigma), square(method.bank)
-            p[learning.STIFFNESS, learning.STIFFNESS] = square(first.stiffness_sigma)
-            p[learning.BALANCE, learning.BALANCE] = square(first.balance_sigma)
-            p[learning.FRICTION, learning.FRICTION] = square(method.friction_spread)
-            p[learning.LAG, learning.LAG], p[learning.DEAD_TIME, learning.DEAD_TIME] = square(lag_grain), square(dead_grain)
-            p[learning.OFFSET, learning.OFFSET] = square(0.05)
+            each.x[learning.LAG], each.x[learning.DEAD_TIME] = lag, dead + own.computation
+            each.x[learning.FRICTION], each.x[learning.BIAS] = log(method.friction), first.bias
+            each.x[learning.STIFFNESS], each.x[learning.BALANCE] = first.stiffness, first.balance
+            _write_spread(own, method, first, each.covariance)
     b = m.beliefs
     b.belief_lag, b.belief_lag_sigma = first.lag, first.lag_sigma
     b.belief_dead_time, b.belief_dead_time_sigma = first.dead_time, first.dead_time_sigma
@@ -344,8 +354,8 @@ def learner_numbers(own, method, sensing, numbers):
     p.sliding, p.angle_error = square(method.sliding), square(method.angle_error)
     p.least_lag, p.most_lag = own.lag_end, own.lag_limit
     p.least_dead_time, p.most_dead_time = own.dead_time_end, own.dead_time_limit
-    p.most_stiffness, p.most_balance = own.stiffness, 0.5 * log(_or(method.balance, MOST_BALANCE))
-    p.most_bias = _or(method.bias, MOST_BIAS)
+    p.most_stiffness, p.most_balance = own.stiffness, 0.5 * log(given_or(method.balance, MOST_BALANCE))
+    p.most_bias = given_or(method.bias, MOST_BIAS)
     p.modest, p.cautious, p.most_caution = method.modest, method.cautious, method.most_caution
     p.tolerated, p.tolerated_stiffness = own.tolerated, own.tolerated_stiffness
     p.doubting_caution = method.doubting_caution

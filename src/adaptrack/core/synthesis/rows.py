@@ -13,4 +13,3 @@ def row_of(kind: Any, source: Any = None, **others: Any) -> Any:
         value = others[name] if name in others else getattr(source, name, None)
         row[name] = (math.nan if kind.kinds[name].name == "float64" else 0) if value is None else value
     return row
-
