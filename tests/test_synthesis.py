@@ -10,22 +10,18 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 import adaptrack as at
-from adaptrack.cars.vehicle import Steering, list_vehicles, load_vehicle
-from adaptrack.control.controllers import informed as face
-from adaptrack.control.controllers.belief import UNKNOWN, told
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers.learned import LearnedCar, Learning
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core.controllers.mpc import Settings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import size_of
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, informed, laws, learner, tuning
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.scenario.profile import load_profile
+from by_kernels import CASES, UNTOUCHED, ordered, prepared
 
 SEDAN = load_vehicle("midsize-sedan")
-UNTOUCHED = -1234.5
 
 
 # -- numbers as they are printed --------------------------------------------------------------------------------------
@@ -304,49 +300,15 @@ def test_the_gains_of_the_lqr_are_those_of_scipy(name):
 
 
 # -- all of an MPC at once --------------------------------------------------------------------------------------------
-CASES = {
-    "known": {"profile": "production"},
-    "told": {"learning": None, "profile": "road"},
-    "unknown": {"belief": UNKNOWN, "learning": None},
-    "learning": {},
-    "without lag": {"belief": Steering(lag=0.0, dead_time=0.12)},
-    "unsure": {"belief": Steering(lag=0.1, dead_time=0.1), "uncertainty": at.Uncertainty(0.05, 0.05, 1.3, 0.1)},
-}
-
-
-def ordered(vehicle, options):
-    """The order of an MPC, and its parts with the usual filter."""
-    name, mode = options.get("profile"), options.get("learning", "auto")
-    world = load_profile(name or "road")
-    method = face.UNASKED if mode in (None, "auto") else mode
-    order = face._order(
-        vehicle, world.numbers(world.period), told(vehicle, options.get("belief"), world, name is not None),
-        options.get("uncertainty"), method,
-    )  # fmt: skip
-    order.learning, order.alone = informed.NEVER if mode is None else informed.UNLESS_SAID, name is None
-    row = informed.Parts.new(1)
-    usual = np.zeros(size_of(filter.Filter))
-    filter.usual_filter(usual)
-    row["filter"] = usual.view(filter.Filter.dtype)[0]
-    return order, row[0]
-
-
 def made(vehicle, options):
     """What the filter remembers, and all numbers of an MPC, by kernels alone."""
-    order, parts = ordered(vehicle, options)
+    order, parts, found = prepared(vehicle, options)
     assert informed.informed_parts(order, parts) == informed.FINE
-    n, remembered, learned = informed.informed_sizes(order, parts)
-    numbers = size_of(learning.Numbers) if learned else 0
-    found = informed.Constants(
-        settings=Settings.new(1), tuning=np.full(4, UNTOUCHED), model=np.full(7, UNTOUCHED),
-        states=np.full(n, -7), turning=np.full(7, UNTOUCHED), estimator=np.full(size_of(kalman.Numbers), UNTOUCHED),
-        learner=np.full(numbers, UNTOUCHED), fresh=np.full(learned, UNTOUCHED),
-    )  # fmt: skip
     assert informed.informed_constants(order, parts, found) == informed.FINE
     for field in ("estimator", "model", "turning", "tuning"):
         shorter = found._replace(**{field: getattr(found, field)[:-1].copy()})
         assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
-    return remembered, found
+    return informed.informed_sizes(order, parts)[1], found
 
 
 @pytest.mark.parametrize("name", ["midsize-sedan", "van"])
