@@ -13,11 +13,12 @@ import adaptrack as at
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers.learned import LearnedCar, Learning
 from adaptrack.control.kalman import KalmanFilter
+from adaptrack.core.controllers.mpc import Settings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import size_of
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.core.synthesis import belief, car, filter, informed, laws, learner, tuning
+from adaptrack.core.synthesis import belief, car, filter, informed, laws, learner, published, tuning
 from adaptrack.core.synthesis.rows import row_of
 from by_kernels import CASES, UNTOUCHED, ordered, prepared
 
@@ -354,3 +355,21 @@ def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written(se
     order[section][name] = value
     assert informed.informed_parts(order, parts) == status
     assert parts.tobytes() == before
+
+
+@pytest.mark.parametrize("name", ["paper", "van"])
+def test_the_papers_mpc_has_the_numbers_of_its_table(name):
+    vehicle, room = load_vehicle(name), np.full(7, UNTOUCHED)
+    nothing = np.zeros(0)
+    found = informed.Constants(Settings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing)
+    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.FINE
+    own = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
+    assert found.tuning.tolist() == [35, 8, 10.0, 0.01]
+    assert found.model[:6].tobytes() == own.parameters.tobytes()
+    assert found.model[6] == UNTOUCHED
+    assert found.states.tolist() == own.states.tolist()
+    settings = found.settings[0]
+    assert (settings.move_max, settings.angle_max) == pytest.approx((math.radians(15.0), math.radians(30.0)))
+    assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
+    assert published.published_constants(row_of(car.Car), 0.1, found) == informed.CAR_WRONG
+    assert published.published_constants(vehicle.numbers, math.nan, found) == informed.LOOP_WRONG

@@ -175,6 +175,13 @@ def _positive(x):
 
 
 @inlined
+def has_body(car):
+    """Whether mass, inertia, axles and stiffness are those of a car."""
+    shape = _positive(car.mass) and _positive(car.yaw_inertia) and _positive(car.lf) and _positive(car.lr)
+    return shape and _positive(car.stiffness_front) and _positive(car.stiffness_rear)
+
+
+@inlined
 def _said_within(x, least, most):
     """Whether a number lies within a range, if it is said."""
     return math.isnan(x) or least <= x <= most
@@ -192,10 +199,12 @@ def _can_be(steering):
 def _wrong(order):
     """`FINE`, or what of an order no controller can be made of."""
     car, world, unsure, method = order.car, order.world, order.unsure, order.method
-    shape = _positive(car.mass) and _positive(car.yaw_inertia) and _positive(car.lf) and _positive(car.lr)
-    if not (shape and _positive(car.stiffness_front) and _positive(car.stiffness_rear)):
-        return CAR_WRONG
-    if not (car.frontal_area >= 0.0 and car.side_force_slope >= 0.0 and abs(car.yaw_moment_slope) < math.inf):
+    if not (
+        has_body(car)
+        and car.frontal_area >= 0.0
+        and car.side_force_slope >= 0.0
+        and abs(car.yaw_moment_slope) < math.inf
+    ):
         return CAR_WRONG
     times = _positive(world.period) and 0.0 <= world.computation <= MOST_TIME and 0.0 <= world.oldest <= MOST_TIME
     seen = world.noise_vy >= 0.0 and world.noise_yaw >= 0.0 and world.noise_yaw_rate >= 0.0
