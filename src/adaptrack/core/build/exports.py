@@ -23,6 +23,7 @@ from .. import library
 from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted
 from .objects import undefined
 from .rules import plain, unwritten
+from .units import PLANTS, UNITS
 
 KERNELS = (
     # of a program: a whole call, and a path
@@ -145,7 +146,9 @@ def _of_these(text: str, target: Target, compact: bool, machine: Any) -> Any:
         text += re.sub(r"module asm \"\.globl.*\n", "", WINDOWS.split("@_fltused")[0]).replace(
             "__chkstk", "adaptrack_grow_stack")  # fmt: skip
     module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", rf"\1 {attributes} {{", text, flags=re.MULTILINE))
-    names = {f"adaptrack_{each}" for each in KERNELS}
+    units = target.cpu == "x86-64-v3"  # the others have no FMUs
+    kernels = (*KERNELS, *(sum(UNITS.values(), ()) + PLANTS if units else ()))
+    names = {f"adaptrack_{each}" for each in kernels}
     for function in module.functions:
         if not function.is_declaration:
             function.linkage = "external" if function.name in names else "internal"
