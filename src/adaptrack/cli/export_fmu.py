@@ -52,15 +52,15 @@ def export_fmu(given: FMUOptions) -> None:
     car, plant = given.which.car.load()
     world = load_profile(given.which.profile)
     controller = given.which.make(car, world)
-    options.make_folder(given.out)
     seeds = None if given.road_seed is None else [given.road_seed]
     checked = roads.RoadOptions(speed=given.speed, road_seed=seeds).look(given.road, car, world)
     route = RoadDrive(checked.road, checked.plan)
     driver = Driver() if given.driver else None
     units = (
-        controller_unit(controller, checked.road, checked.plan),
+        controller_unit(controller, checked.road, checked.plan, speed_preview=driver and driver.preview),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )
+    options.make_folder(given.out)
     made = [write_fmu(each, given.out / f"{each.name}.fmu", given.fmi.value) for each in units]
     if given.as_json:
         show.say_json({"files": [str(each) for each in made], "fmi": given.fmi, "period": controller.period})

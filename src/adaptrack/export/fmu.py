@@ -111,6 +111,7 @@ def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", 
         **{f"sources/{each.name}": each.read_bytes() for each in fmu_build.SOURCES},
         "sources/units.c": fmu_build.units_header().encode(),
         "documentation/index.html": _page(unit).encode(),
+        "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
     }
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -30,6 +30,7 @@ SOURCES = (
     *(HERE / "fmu_c" / each for each in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
     *(HERE / "c" / each for each in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
+LICENSE = HERE / "c" / "LICENSE"
 MEMBERS = (
     "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
     *PLANTS,
