@@ -57,7 +57,9 @@ def export_fmu(given: FMUOptions) -> None:
     route = RoadDrive(checked.road, checked.plan)
     driver = Driver() if given.driver else None
     units = (
-        controller_unit(controller, checked.road, checked.plan, speed_preview=driver and driver.preview),
+        controller_unit(
+            controller, checked.road, checked.plan, speed_preview=None if driver is None else driver.preview
+        ),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )
     options.make_folder(given.out)

@@ -45,7 +45,7 @@ INPUTS = (
     "wind_known",  # true: wind is known
 )  # fmt: skip
 OUTPUTS = (
-    "command",  # rad, angle of the road wheels to ask for, positive to the left
+    "command",  # rad, requested angle of the road wheels, positive to the left
     "status",  # 0 ok, 1 estimated, 2 held, 3 standing, 4 reverse, 5 off path, 6 end of path, 7 sliding
     "offset",  # m, of the car from the path, positive to the left; NaN without a position to go by
     "heading_error",  # rad, the car's heading less the path's; NaN without a position to go by
