@@ -274,11 +274,11 @@ class Tracker:
 
     def _answer(self) -> Tracked:
         """What a call gives."""
-        command, status, *beside, belief, _, suspect = self._kernel.tracked.tolist()
+        command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == UNKNOWN else BeliefState(int(belief))
-        return Tracked(command, _STATUSES[int(status)], *beside, state, self._check.suspect)
+        return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, self._check.suspect)
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""

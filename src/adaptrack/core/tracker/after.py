@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..kernel import Place, exported, inlined, void
-from .place import beside, hold, is_beyond, pose_of
+from .place import hold, is_beyond
 from .records import (
     ANSWER,
     END,
@@ -32,8 +32,6 @@ def tracker_after(tracker):
     usable = math.isfinite(answer[ANSWER.command])
     m.command = answer[ANSWER.command] if usable else held
     m.belief_state, m.belief_at_bound = answer[ANSWER.belief_state], answer[ANSWER.belief_at_bound]
-    here = beside(tracker, pose_of(m), m.station)
-    m.offset, m.heading_error = here.offset, here.heading_error
     m.status, m.answered = _status(tracker, m, not usable or answer[ANSWER.held] > 0.5), 1
     m.due -= 1
     if m.due > 0:  # at an instant without a call nothing was sent

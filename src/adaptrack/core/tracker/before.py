@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ..controllers.contract import wrapped
 from ..input_check.call import check_call
 from ..input_check.record import memory_of
 from ..kernel import Place, exported, inlined, int64
@@ -110,9 +111,9 @@ def _advance(tracker, m, sampled):
             pose = carried(sampled_pose(m), age, speed, m.yaw_rate)
     keep_pose(m, pose)
     station, offset, heading, _ = foot_near(pose.x, pose.y, m.station + speed * period, own)
-    m.turned = 0.0
+    m.offset, m.heading_error, m.turned = offset, math.nan, 0.0
     if offset == offset:
-        m.turned = heading - m.heading
+        m.heading_error, m.turned = wrapped(pose.yaw - heading), heading - m.heading
         m.station, m.heading = station, heading
 
 
@@ -132,8 +133,7 @@ def _measure(tracker, m, sampled):
     if time_of(m, settings.period) - m.newest <= LONGEST_GAP:
         measured[MEASURED.vy] = drift if math.isfinite(drift) else _steady_drift(m, settings)
         measured[MEASURED.yaw_rate] = m.yaw_rate
-        here = beside(tracker, pose_of(m), m.station)
-        measured[MEASURED.y], measured[MEASURED.yaw] = here.offset, here.heading_error
+        measured[MEASURED.y], measured[MEASURED.yaw] = m.offset, m.heading_error
 
 
 @inlined

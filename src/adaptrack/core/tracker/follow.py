@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, void
-from .place import beside, find_on_path, has_path, pose_of, restart
+from .place import find_on_path, has_path, hint, restart
 from .records import ABSURD, REQUEST, Tracker
 
 
@@ -16,7 +16,8 @@ def tracker_follow(near, tracker):
     begin behind the car, by the age of the oldest samples at least.
     """
     m = tracker.memory[0]
-    m.near, m.due, m.waiting, m.open = near, 0, 0, 0
+    hint(m, near)
+    m.due, m.waiting, m.open = 0, 0, 0
     if m.started == 0:
         return
     if has_path(tracker):
@@ -30,12 +31,11 @@ def _go_over(tracker, m):
     """Find the car on the path, and say by how much that moves it against the one before."""
     offset, heading_error = m.offset, m.heading_error
     find_on_path(tracker, m)
-    here, request = beside(tracker, pose_of(m), m.station), tracker.request
-    m.offset, m.heading_error = here.offset, here.heading_error
-    if abs(here.offset - offset) < ABSURD:
+    request, shifted = tracker.request, m.offset - offset
+    if abs(shifted) < ABSURD:
         more = request[REQUEST.change]  # 1: the controller has not heard yet of the path before
-        request[REQUEST.turned] = wrapped(here.heading_error - heading_error) + more * request[REQUEST.turned]
-        request[REQUEST.shifted] = here.offset - offset + more * request[REQUEST.shifted]
+        request[REQUEST.turned] = wrapped(m.heading_error - heading_error) + more * request[REQUEST.turned]
+        request[REQUEST.shifted] = shifted + more * request[REQUEST.shifted]
         request[REQUEST.change] = 1.0
     else:  # too far from one of them to say by how much
         restart(tracker, m)

@@ -9,7 +9,7 @@ from ..kernel import inlined, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
-from .records import ACROSS, HELD, REQUEST, TRACKED, UNKNOWN
+from .records import ACROSS, FURTHEST, HELD, REQUEST, TRACKED, UNKNOWN
 
 Pose = record("Pose", ("x", "y", "yaw"))
 """m, m, rad."""
@@ -87,12 +87,19 @@ def beside(tracker, pose, near):
 
 
 @inlined
+def hint(m, near):
+    """Keep the arc length (m) about which the car is to be found; none where it is none of a path."""
+    m.near = near if abs(near) < FURTHEST else math.nan
+
+
+@inlined
 def find_on_path(tracker, m):
     """The foot from which the car begins to follow its path, the nearest one in its direction."""
     own = line(tracker)
     m.station = nearest(m.x, m.y, m.yaw, ACROSS, m.near, own)
     _, _, m.heading, _ = point_at(m.station, own)
-    m.near = math.nan
+    here = beside(tracker, pose_of(m), m.station)
+    m.offset, m.heading_error, m.near = here.offset, here.heading_error, math.nan
 
 
 @inlined

@@ -142,6 +142,5 @@ def _schedule(tracker, scheduling, tuning):
     variables[VARIABLES.friction] = friction if math.isfinite(friction) else tracker.settings[0].nominal_friction
     variables[VARIABLES.wind] = wind if math.isfinite(wind) else 0.0
     variables[VARIABLES.change] = variables[VARIABLES.acceleration] = 0.0
-    offset = tracker.measured[MEASURED.y]
-    variables[VARIABLES.offset] = -offset if math.isfinite(offset) else -tracker.memory[0].offset
+    variables[VARIABLES.offset] = -tracker.memory[0].offset
     schedule(0, variables, scheduling.schedule, tuning)

@@ -1,0 +1,265 @@
+"""A tracker as kernels: whole calls with a compiled controller, what hostile calls give, hints, schedules."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
+from adaptrack.control.tracker import Status, Tracker
+from adaptrack.control.tracking import packed_plan, tracking_of
+from adaptrack.core.kernel import direct
+from adaptrack.core.tracker.after import tracker_after
+from adaptrack.core.tracker.before import tracker_before
+from adaptrack.core.tracker.follow import tracker_follow
+from adaptrack.core.tracker.give import tracker_engage, tracker_give
+from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, REQUEST, SAMPLE, TRACKED
+from adaptrack.core.tracker.step import tracker_step, tracker_step_law
+from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
+from adaptrack.road.ahead import pack_roads, stacked
+
+pytestmark = pytest.mark.kernels
+CAR = load_vehicle("paper")
+ROAD = generate_road("country", seed=1, length=800.0)
+PLAN = plan_speed(ROAD, CAR)
+CIRCLE = Road.from_segments([Arc(length=200.0 * math.pi, curvature=1 / 100)], closed=True)
+TWICE_AROUND = Road.from_segments([Arc(length=800.0 * math.pi, curvature=1 / 200)])
+"""Two laps as an open road: each place of it comes twice."""
+MAKERS = {
+    "informed": lambda: MPC(CAR, profile="road"),
+    "informed, late samples": lambda: MPC(CAR, profile="production"),
+    "learning": lambda: MPC(CAR, profile="road", learning=Learning()),
+    "published": lambda: published_mpc(CAR, Tuning(35, 8, 1.0, 3000.0), period=0.05),
+    "LQR": lambda: LQR(CAR, period=0.05),
+    "Stanley": lambda: Stanley(CAR, period=0.05),
+    "pure pursuit": lambda: PurePursuit(CAR, period=0.05),
+}
+HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e9, 1e5, 5e-324)
+
+
+def stepper(tracking):
+    """What steps a tracker with a compiled controller."""
+    return direct(tracker_step if hasattr(tracking, "step") else tracker_step_law, tracking)
+
+
+def compiled(controller, path=ROAD, plan=None):
+    """A tracker with a compiled controller, and what steps it."""
+    tracking = tracking_of(controller, path, plan)
+    return tracking, stepper(tracking)
+
+
+def call(tracking, step, *given):
+    """A call: t, now, x, y, ... in the order of `SAMPLE`, missing ones NaN; what it gives."""
+    sample = tracking.tracker.sample
+    sample[:] = math.nan
+    sample[: len(given)] = given
+    step()
+    return tracking.tracker.tracked.tolist()
+
+
+def wild_calls(rng, path, count, hostile=0.03):
+    """Rows of `SAMPLE` along a path: times that stray, late, lost, repeated, absurd and moved samples, a stop."""
+    t, s = 0.0, 20.0
+    for k in range(count):
+        speed = 0.0 if 80 < k < 100 else -1.0 if 200 < k < 206 else 12.0
+        step = float(rng.choice([0.05] * 12 + [0.02, 0.09, 0.0, 0.4, -0.3]))
+        step = {50: 2.5, 150: -5.0}.get(k, step)
+        t, s = t + step, s + speed * max(step, 0.0)
+        late = float(rng.choice([0.0, 0.0, 0.05, 0.12, 0.3]))
+        place = path.at(s - speed * late)
+        x, y, yaw, curvature = (float(each) for each in place)
+        row = np.array(
+            [t - late, t, x, y, math.remainder(yaw, math.tau), speed, speed * curvature, 0.0, math.nan, math.nan]
+        )
+        row[2:7] += rng.normal(size=5) * (0.03, 0.03, 0.003, 0.02, 0.01)
+        for i in np.flatnonzero(rng.random(row.size) < 0.1 * hostile):
+            row[i] = rng.choice(HOSTILE)
+        if rng.random() < hostile:
+            row[2:5] = math.nan if rng.random() < 0.5 else row[2:5] + 50.0
+        row[1] = t
+        yield row.tolist()
+
+
+# -- the same as the class --------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rng):
+    tracker, tracking = Tracker(make(), ROAD, plan=PLAN), tracking_of(make(), ROAD, PLAN)
+    step = stepper(tracking)
+    for k, row in enumerate(wild_calls(rng, ROAD, 400)):
+        t, now, x, y, yaw, speed, rate, vy, pull, wheel = row
+        if k == 120:
+            tracker.engage(0.05)
+            tracker_engage(0.05, math.nan, tracking.tracker)
+        if k == 300:
+            tracker.follow(CIRCLE)
+            other = tracking.tracker._replace(path=stacked(CIRCLE), plan=packed_plan(None))
+            tracking = tracking._replace(tracker=other)
+            step = stepper(tracking)
+            tracker_follow(math.nan, other)
+        one = tracker.step(
+            t, x, y, yaw, speed, rate, lateral_velocity=vy, lateral_acceleration=pull, wheel_angle=wheel, now=now
+        )
+        found = call(tracking, step, *row)
+        assert list(Status)[int(found[TRACKED.status])] is one.status
+        np.testing.assert_array_equal(found[:1] + found[2:5], [one.command, *one[2:5]])
+    assert math.isfinite(one.command)
+
+
+def test_a_copy_of_the_arrays_goes_on_as_the_tracker_itself(rng):
+    tracking, step = compiled(MAKERS["Stanley"]())
+    rows = list(wild_calls(rng, ROAD, 60))
+    for row in rows[:30]:
+        call(tracking, step, *row)
+    kept = copy.deepcopy(tracking)
+    for row in rows[30:]:
+        np.testing.assert_array_equal(call(tracking, step, *row), call(kept, stepper(kept), *row))
+
+
+# -- hostile calls ----------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["informed", "learning", "published", "Stanley"])
+def test_no_call_leaves_a_command_that_is_no_number(name, rng):
+    tracking, step = compiled(MAKERS[name]())
+    for row in wild_calls(rng, ROAD, 400, hostile=0.5):
+        row[1] = rng.choice([row[1], rng.choice(HOSTILE)])
+        found = call(tracking, step, *row)
+        assert abs(found[TRACKED.command]) <= math.pi / 6
+        assert found[TRACKED.status] in range(10)
+
+
+@pytest.mark.parametrize("value", HOSTILE)
+@pytest.mark.parametrize("field", SAMPLE._fields[2:])
+def test_what_is_absurd_in_the_first_sample_gives_a_status(field, value):
+    tracking, step = compiled(MAKERS["pure pursuit"]())
+    sample = [0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]
+    sample = [value if name == field else each for name, each in zip(SAMPLE._fields, sample, strict=False)]
+    found = call(tracking, step, *sample)
+    assert math.isfinite(found[TRACKED.command])
+    assert found[TRACKED.status] in range(10)
+
+
+def test_a_call_without_a_time_is_left_out():
+    tracking, step = compiled(MAKERS["LQR"]())
+    first = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 10.0)
+    for time in (math.nan, math.inf):
+        found = call(tracking, step, time, time, 50.0, 9.0, 1.0, 3.0)
+        assert found[TRACKED.status] == NO_TIME
+        assert found[:1] + found[2:] == first[:1] + first[2:]
+    assert call(tracking, step, 0.0, math.nan, 0.0, 0.0, 0.0, 10.0)[TRACKED.status] == REPEATED
+
+
+def test_an_angle_that_is_no_number_engages_nothing():
+    tracking, step = compiled(MAKERS["LQR"]())
+    call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 10.0)
+    before = tracking.tracker.memory.copy()
+    assert tracker_engage(math.nan, math.nan, tracking.tracker) == 0
+    assert tracking.tracker.memory.tobytes() == before.tobytes()
+    assert tracker_engage(9.0, math.nan, tracking.tracker) == 1
+    assert tracking.tracker.tracked[TRACKED.command] == MAKERS["LQR"]().limits.angle[1]
+
+
+def test_kernels_called_out_of_their_order_wait_for_what_is_due():
+    tracker = tracking_of(MAKERS["LQR"](), ROAD).tracker
+    tracker_after(tracker)
+    assert tracker_before(tracker) == 0
+    tracker.sample[: SAMPLE.yaw_rate] = 0.0, 0.0, 0.0, 0.2, 0.0, 10.0
+    tracker_give(tracker)
+    assert [tracker_before(tracker) for _ in range(3)] == [1, 1, 1]
+    assert tracker.memory[0].instant == 0
+    tracker.answer[:] = math.nan, 0.0, -1.0, -1.0
+    tracker_after(tracker)
+    tracker_after(tracker)
+    assert tracker_before(tracker) == 0
+    assert tracker.tracked[: TRACKED.offset].tolist() == [0.0, HELD]  # a controller without an answer
+
+
+def test_without_a_path_the_command_is_held():
+    tracking, step = compiled(MAKERS["LQR"]())
+    bare = tracking._replace(tracker=tracking.tracker._replace(path=pack_roads([])))
+    assert call(bare, stepper(bare), 0.0, 0.0, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == HELD
+    assert call(tracking, step, 0.1, 0.1, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == OK
+
+
+# -- where the car begins ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("near", "lap"), [(300.0, 0), (1500.0, 1), (None, 0)])
+def test_a_hint_says_on_which_lap_the_car_is(near, lap):
+    tracker = Tracker(Stanley(CAR, period=0.05), TWICE_AROUND)
+    tracker.engage(near=near)
+    place = TWICE_AROUND.at(150.0)
+    found = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
+    assert found.station == pytest.approx(150.0 + lap * 400.0 * math.pi, abs=0.01)
+    tracker.follow(TWICE_AROUND, near=1300.0 - 1e-3)
+    place = TWICE_AROUND.at(150.5)
+    found = tracker.step(0.05, float(place.x), float(place.y), float(place.heading), 10.0)
+    assert found.station == pytest.approx(150.5 + 400.0 * math.pi, abs=0.01)
+
+
+def test_a_car_that_is_not_about_the_hint_is_off_its_path():
+    straight = Road.from_segments([Line(length=2000.0)])
+    tracker = Tracker(Stanley(CAR, period=0.05), straight)
+    tracker.engage(near=1900.0)
+    assert tracker.step(0.0, 100.0, 0.0, 0.0, 10.0).status is Status.OFF_PATH
+    tracker.engage(near=450.0)
+    assert tracker.step(0.1, 100.0, 0.0, 0.0, 10.0).station == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("near", [0.0, 100.0, 500.0, CIRCLE.length - 1.0, -1e3, 1e6])
+def test_on_a_short_lap_every_hint_finds_the_nearest_foot(near):
+    tracker = Tracker(Stanley(CAR, period=0.05), CIRCLE)
+    tracker.engage(near=near)
+    place = CIRCLE.at(250.0)
+    found = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
+    assert found.station == pytest.approx(250.0, abs=1e-6)
+
+
+def test_about_the_seam_of_a_long_lap_both_sides_count():
+    lap = Road.from_segments([Arc(length=1000.0 * math.pi, curvature=1 / 500)] * 2, closed=True)
+    for s in (lap.length - 100.0, 100.0):
+        place = lap.at(s)
+        for near in (0.0, lap.length, lap.length - 250.0, 250.0):
+            tracker = Tracker(Stanley(CAR, period=0.05), lap)
+            tracker.engage(near=near)
+            found = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
+            assert found.station == pytest.approx(s, abs=1e-6)
+
+
+# -- schedules --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("known", "friction", "wind"), [((0.5, 6.0), 0.5, 6.0), ((math.nan, math.nan), 0.65, 0.0)])
+def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(known, friction, wind):
+    scheduler = load_scheduler("road-nn-unguarded")
+    tracking, step = compiled(published_mpc(CAR, scheduler=scheduler, period=0.05))
+    found = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *known)
+    wanted = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-found[TRACKED.offset]))
+    assert tracking.step.tuning.tolist() == pytest.approx(list(wanted), rel=1e-12)
+
+
+def test_only_what_is_compiled_makes_a_tracker_of_kernels_alone():
+    with pytest.raises(InvalidInput, match="is not compiled"):
+        tracking_of(published_mpc(CAR, scheduler=lambda variables: (10, 2, 1.0, 1.0)), ROAD)
+    with pytest.raises(InvalidInput, match="is not compiled"):
+        tracking_of(published_mpc(CAR, solver="daqp"), ROAD)
+
+
+# -- the plan of the speed --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("closed", [False, True])
+def test_between_the_places_of_a_plan_the_square_of_the_speed_is_straight(closed, rng):
+    plan = plan_speed(CIRCLE, CAR, stops=[100.0]) if closed else PLAN
+    s = np.concatenate([rng.uniform(-500.0, 2000.0, 200), plan.s[:5], plan.s[-5:], [math.nan, 1e9, -1e9]])
+    inside = s - np.floor(s / plan.s[-1]) * plan.s[-1] if closed else s
+    np.testing.assert_allclose(plan.at(s), np.sqrt(np.interp(inside, plan.s, plan.speed**2)), rtol=1e-15, atol=0.0)
+    assert plan.at(3.0).shape == ()
+    assert plan.at(np.zeros((2, 3))).shape == (2, 3)
+
+
+def test_what_the_tracker_asks_for_is_done_once():
+    tracker = Tracker(MAKERS["informed"](), ROAD)
+    tracker.step(0.0, 0.0, 0.2, 0.0, 10.0)
+    tracker.follow(ROAD)
+    assert not tracker._kernel.request[: REQUEST.turned].any()
