@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from .kernel import exported, float64, inlined, int64, int_vector, record, shaped, unpacker, vector
-from .maths.bits import whole
+from .maths.bits import left, right, whole
 from .maths.exact import clip
 from .maths.exponential import exp, log, log1p
 
@@ -198,10 +198,10 @@ def multilinear(x, integers, numbers, work):
             parts[d] = clip((x[d] - axis[i]) / (axis[above] - axis[i]), 0.0, 1.0)
         first += size
     value = 0.0
-    for corner in range(1 << table.inputs):
+    for corner in range(left(1, table.inputs)):
         index, weight = 0, 1.0
         for d in range(table.inputs):
-            up = (corner >> d) & 1
+            up = right(corner, d) & 1
             weight *= parts[d] if up == 1 else 1.0 - parts[d]
             index = index * table.sizes[d] + min(whole(cells[d]) + up, table.sizes[d] - 1)
         if weight > 0.0:

@@ -22,12 +22,19 @@ import llvmlite.binding as llvm
 from .. import library
 from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted
 from .objects import undefined
+from .rules import plain, unwritten
 
 KERNELS = (
-    "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through", "mpc_step", "stanley", "pure_pursuit", "lqr", "schedule_step", "supervise", "discretise_single_track",
-    "discretise_path", "kalman", "learn_car", "believe", "bend_of", "foot_about", "nearest_foot", "elementary_values",
+    # of a program: a whole call, and a path
+    "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through",
+    # a controller alone
+    "mpc_step", "schedule_step",
+    # members, whose addresses records hold
+    "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
+    # what tells whether a processor rounds as others do
+    "elementary_values",
 )  # fmt: skip
-"""What an exported controller, its tracker and its path may call, and members that a record has the address of."""
+"""What other programs call, or have in a record by its address; the rest of an object file is internal."""
 
 
 @dataclass(frozen=True)
@@ -96,14 +103,17 @@ def archive(folder: Path) -> Path:
 def emit_export(text: str, name: str) -> bytes:
     """The object file for a target, of a module of all kernels.
 
-    Raises BuildError where it calls what it may not.
+    Raises BuildError where it calls what it may not, or uses memory that was not written.
     """
     chosen = EXPORTS[name]
     target = chosen.target
     machine, text = retargeted(text, target, "pic" if _hosted(target) else "static")
     module = _of_these(text, target, chosen.compact, machine)
     optimised(module, machine, speed=2 if chosen.compact else 3, vectors=not chosen.compact)
-    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(str(module), target))))
+    made = str(module)
+    if chosen.compact and (found := unwritten(made)):
+        raise BuildError("\n".join(found))
+    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(made, target))))
     left = [each for each in undefined(content) if each not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
@@ -140,21 +150,11 @@ def _of_these(text: str, target: Target, compact: bool, machine: Any) -> Any:
         if not function.is_declaration:
             function.linkage = "external" if function.name in names else "internal"
             if function.name.startswith("_ZN"):
-                function.name = _plain(function.name)
+                function.name = plain(function.name)
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     return module
-
-
-def _plain(name: str) -> str:
-    """The file and the function of a name that numba has made: those are hundreds of bytes long."""
-    parts, at = [], len("_ZN")
-    while digits := re.match(r"\d+", name[at:]):
-        begin = at + digits.end()
-        at = begin + int(digits[0])
-        parts.append(name[begin:at])
-    return ".".join(parts[-2:])
 
 
 def _in_sections(text: str, target: Target) -> str:

@@ -35,6 +35,7 @@ from ..kernel import EXPORTED
 from . import numba_functions
 from .header import header
 from .objects import undefined
+from .rules import violations
 from .sources import sources_of
 
 ROOMS = tuple(f"adaptrack.{each.replace('/', '.')}" for each in library.ROOMS)
@@ -264,7 +265,7 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
     portable: for all processors of this machine's kind, as a wheel needs them; exports: names of `exports.EXPORTS`, for
     which the object file is made that other programs take in.
 
-    Raises BuildError.
+    Raises BuildError, also for kernels that break one of the `rules`.
     """
     from .exports import EXPORTS, emit_export, shipped
 
@@ -288,6 +289,8 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
     if library.source_hashes.__wrapped__() != library.source_hashes():
         raise BuildError("a source was edited while it was read: once more.")
     whole = _module(kernels)
+    if found := violations(whole):
+        raise BuildError("\n".join(found))
     _say(f"  {len(kernels)} kernels, {time.monotonic() - begun:.0f} s")
     library.BUILT.mkdir(exist_ok=True)
     made: dict[str, dict[str, dict[str, str]]] = {what: {} for what in asked}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from ..kernel import columns, exported, float64, inlined, int64, record, size_of, vector, viewer, void
+from ..maths.bits import left
 
 TICK, WINDOW, TICKS = 0.095, 4, 5
 """s, between two looks at the samples; looks that a window spans, and that are kept."""
@@ -112,7 +113,7 @@ Check = record("Check", (("settings", vector), ("memory", vector)))
 def say(own, subject, mistake, a, b, c):
     """Name a mistake, unless one of its subject has been named; with what was measured."""
     if own.suspect & ABOUT[subject] == 0:
-        own.suspect |= 1 << mistake
+        own.suspect |= left(1, mistake)
         own.told[subject, 0], own.told[subject, 1], own.told[subject, 2] = a, b, c
 
 

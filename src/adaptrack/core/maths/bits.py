@@ -40,6 +40,22 @@ def whole(x: float) -> int:
 
 
 @inlined
+def left(number: int, count: int) -> int:
+    """number 2^count, for 0 <= count < 64; only the last six bits of count are looked at.
+
+    So it is defined for every count, and the same on every processor, which a shift by more than the width is not. A
+    shift by a number that is written out may stand by itself.
+    """
+    return number << (count & 63)
+
+
+@inlined
+def right(number: int, count: int) -> int:
+    """The whole number below number/2^count, for 0 <= count < 64, as `left`."""
+    return number >> (count & 63)
+
+
+@inlined
 def two_to(k: int) -> float:
     """2^k for -1022 <= k <= 1023."""
     return float_of((k + 1023) << 52)

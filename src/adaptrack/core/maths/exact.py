@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ..kernel import exported, float64, inlined, primitive
-from .bits import bits_of, negative, scaled
+from .bits import bits_of, left, negative, right, scaled
 
 _FRACTION = 2**52 - 1
 _LIMB = 54  # bits of a digit of long numbers
@@ -84,7 +84,7 @@ def fmod(x: float, y: float) -> float:
     m = m % divisor
     while e > least:
         step = min(e - least, 10)  # m << 10 has 63 bits
-        m = (m << step) % divisor
+        m = left(m, step) % divisor
         e -= step
     return math.copysign(scaled(float(m), least), x)
 
@@ -134,8 +134,8 @@ def _product(a, b):
 def _moved_left(high, low, count):
     """(high, low) 2^count, for a count of at most 107; the result fits."""
     if count >= _LIMB:
-        return low << (count - _LIMB), 0
-    return (high << count) | (low >> (_LIMB - count)), (low << count) & _DIGIT
+        return left(low, count - _LIMB), 0
+    return left(high, count) | right(low, _LIMB - count), left(low, count) & _DIGIT
 
 
 @inlined
@@ -150,12 +150,12 @@ def _moved_right(high, low, count):
     sticky = 0
     if count >= _LIMB:
         high, low, sticky, count = 0, high, low, count - _LIMB
-    sticky |= low & ((1 << count) - 1)
+    sticky |= low & (left(1, count) - 1)
     if count < _LIMB:
-        low = (low >> count) | ((high << (_LIMB - count)) & _DIGIT)
+        low = right(low, count) | (left(high, _LIMB - count) & _DIGIT)
     else:
-        low = low >> count
-    return high >> count, low | (1 if sticky != 0 else 0)
+        low = right(low, count)
+    return right(high, count), low | (1 if sticky != 0 else 0)
 
 
 @exported(float64(float64, float64, float64))
@@ -218,7 +218,7 @@ def soft_sqrt(x: float) -> float:
     # the root of m 2^54, of 54 bits: m is taken in two bits at a time, as in a long division
     root, rest = 0, 0
     for i in range(54):
-        pair = (m >> (52 - 2 * i)) & 3 if i <= 26 else 0
+        pair = right(m, 52 - 2 * i) & 3 if i <= 26 else 0
         rest, root = (rest << 2) | pair, root << 1
         if rest > 2 * root:
             rest, root = rest - (2 * root + 1), root + 1

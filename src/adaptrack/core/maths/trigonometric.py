@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ..kernel import exported, float64, fma, inlined, int64, several
-from .bits import ROUNDER, bits_of, negative, signed_if, two_to
+from .bits import ROUNDER, bits_of, left, negative, right, signed_if, two_to
 from .exact import sqrt
 from .polynomial import eleven, halves, six, twelve
 
@@ -200,12 +200,12 @@ def _far(x):
     c += m0 * _word(i) + m1 * _word(i + 1)
     top = (c & _MASK) << 30 | p5  # its point lies above 58 - shift bits
     point = 58 - shift
-    n = top >> point
-    fraction = top & ((1 << point) - 1)
-    above_half = fraction >> (point - 1)
+    n = right(top, point)
+    fraction = top & (left(1, point) - 1)
+    above_half = right(fraction, point - 1)
     flip = -above_half  # all bits, if the fraction is counted down from the next whole number
     n += above_half
-    fraction = (fraction ^ flip) & ((1 << point) - 1)
+    fraction = (fraction ^ flip) & (left(1, point) - 1)
     p1, p2, p3, p4 = (p1 ^ flip) & _MASK, (p2 ^ flip) & _MASK, (p3 ^ flip) & _MASK, (p4 ^ flip) & _MASK
     # the fraction as a sum of two floats, in units of its last bit
     a, b = float(fraction >> 29) * 2.0**29, float(fraction & (2**29 - 1))

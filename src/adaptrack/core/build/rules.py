@@ -1,0 +1,70 @@
+"""What no kernel may do, as each processor does it differently: looked for in LLVM's text of all of them.
+
+* convert a number to an integer that may not hold it: only `maths.bits.whole` converts, which bounds it first;
+* shift by more than the width: by a number that is not written out only `maths.bits.left` and `right` shift;
+* use memory that was not written: LLVM writes ``undef`` or ``poison`` where it sees that.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+
+_CONVERTS, _SHIFTS = {"bits.whole"}, {"bits.left", "bits.right"}
+_DEFINED = re.compile(r"define [^@]*@(?P<name>[^(]+)\(")
+_CALLED = re.compile(r"(?:call|invoke) [^@]*@([^(]+)\(")
+_SHIFT = re.compile(r"= (?:shl|lshr|ashr) (?:exact |nuw |nsw )*\S+ [^,]+, (?!\d+$)")
+_UNWRITTEN = re.compile(r"\b(?:undef|poison)\b")
+_BUILT_UP = re.compile(r"= (?:shufflevector|insertelement|insertvalue) ")
+"""a vector or a record, of which they say that it has been written to in part"""
+
+
+def plain(name: str) -> str:
+    """The file and the function of a name that numba has made: those are hundreds of bytes long."""
+    parts, at = [], len("_ZN")
+    while name.startswith("_ZN") and (digits := re.match(r"\d+", name[at:])):
+        begin = at + digits.end()
+        at = begin + int(digits[0])
+        parts.append(name[begin:at])
+    return ".".join(parts[-2:]) or name
+
+
+def violations(text: str) -> list[str]:
+    """Where a module that is not yet optimised converts or shifts without bounds: sentences."""
+    name, converting, callers, found = "", set(), defaultdict(set), []
+    for line in text.splitlines():
+        if line.startswith("define "):
+            match = _DEFINED.match(line)
+            name = match["name"].strip('"') if match else line
+        elif "= fpto" in line:
+            converting.add(name)
+        elif _SHIFT.search(line) and plain(name) not in _SHIFTS:
+            found.append(f"{plain(name)} shifts by a number that may be too large: {line.strip()}")
+        elif match := _CALLED.search(line):
+            callers[match[1].strip('"')].add(name)
+    for each in converting:
+        if plain(each) in _CONVERTS:
+            continue
+        if not each.startswith("_ZN5numba"):  # numba's own function for int()
+            found.append(f"{plain(each)} converts a number to an integer that may not hold it")
+        found += [
+            f"{plain(caller)} converts a number to an integer that may not hold it"
+            for caller in callers[each]
+            if plain(caller) not in _CONVERTS and not caller.startswith("cfunc.")  # which nothing calls
+        ]
+    return sorted(set(found))
+
+
+def unwritten(text: str) -> list[str]:
+    """Where a module that was optimised for size uses what was not written.
+
+    Not of other modules: where loops are unrolled and vectors made, LLVM leaves entries open that it does not use.
+    """
+    name, found = "", []
+    for line in text.splitlines():
+        if line.startswith("define "):
+            match = _DEFINED.match(line)
+            name = match["name"] if match else line
+        elif line.startswith(" ") and _UNWRITTEN.search(line) and not _BUILT_UP.search(line):
+            found.append(f"{name} uses memory that was not written: {line.strip()}")
+    return found
