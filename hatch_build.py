@@ -11,6 +11,7 @@ from pathlib import Path
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 BUILT = "src/adaptrack/core/built"
+FMUS = "src/adaptrack/export/built"
 LINKER = "ziglang==0.17.1"
 
 
@@ -26,7 +27,9 @@ class Kernels(BuildHookInterface):
             return
         root = Path(self.root)
         places = {**os.environ, "PYTHONPATH": str(root / "src")}
-        subprocess.run([sys.executable, "-m", "adaptrack.core.build", "--portable"], env=places, check=True)
+        build = [sys.executable, "-m", "adaptrack.core.build", "--portable", "--export", "windows-x86-64-v3"]
+        subprocess.run(build, env=places, check=True)
+        subprocess.run([sys.executable, "-m", "adaptrack.export.fmu_build"], env=places, check=True)
         sys.path.insert(0, str(root / "src"))
         from adaptrack.core.library import manifest, processor
 
@@ -36,7 +39,7 @@ class Kernels(BuildHookInterface):
 
         files += [manifest()["exports"][name]["file"] for name in shipped(list(manifest()["libraries"]), True)]
         files += ["manifest.json", "adaptrack.h"]
-        build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files]
+        build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files] + [f"/{FMUS}/*"]
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{self.platforms()}"
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from adaptrack.cars import data_sheet
 from adaptrack.control.controllers.learned import LEAST_LAG, MIDDLE, UNKNOWN_CAR
+from adaptrack.core.synthesis import car as kernel
 
 QUANTILES = (5, 25, 50, 75, 95)
 NOT_CARS = {"COMMA_BODY", "MOCK"}
@@ -71,11 +72,11 @@ def believed() -> dict[str, tuple[float, float]]:
     lag = max(MIDDLE[0] - UNKNOWN_CAR.lag, LEAST_LAG), MIDDLE[0] + UNKNOWN_CAR.lag
     dead = max(MIDDLE[1] - UNKNOWN_CAR.dead_time, 0.0), MIDDLE[1] + UNKNOWN_CAR.dead_time
     delay = lag[0] + dead[0], lag[1] + dead[1]
-    spread, factor = data_sheet.FRONT_DISTANCE_SPREAD, data_sheet.STIFFNESS_FACTOR
-    front, rear = data_sheet.AXLE_COEFFICIENTS
+    spread, factor = kernel.FRONT_DISTANCE_SPREAD, kernel.STIFFNESS_FACTOR
+    front, rear = kernel.AXLE_COEFFICIENTS
     return {
         "mass": data_sheet.MASSES, "wheelbase": data_sheet.WHEELBASES, "delay": delay, "delay + 0.2": delay,
-        "lf / wheelbase": (data_sheet.FRONT_DISTANCE - spread, data_sheet.FRONT_DISTANCE + spread),
+        "lf / wheelbase": (kernel.FRONT_DISTANCE - spread, kernel.FRONT_DISTANCE + spread),
         "front stiffness / load": (front / factor, front * factor),
         "rear stiffness / load": (rear / factor, rear * factor),
     }  # fmt: skip

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
-from adaptrack.cars.data_sheet import AXLE_COEFFICIENTS, vehicle_from_data_sheet
+from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle, list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, Uncertainty
+from adaptrack.core.synthesis.car import AXLE_COEFFICIENTS
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure, find_failure
 from adaptrack.drive.metrics import compute_metrics

@@ -1,4 +1,4 @@
-"""Every processor gives the same bits: the elementary functions, 3,000 steps of an MPC, ten whole drives.
+"""Every processor gives the same bits: elementary functions, 3,000 steps of an MPC, ten drives, numbers of controllers.
 
 What is compared are the libraries that `python -m adaptrack.core.build aarch64 wasm32` has made. Those of other
 processors and systems are run by an emulator; for what is missing here, a test is skipped (Debian has `wine64` in
@@ -6,6 +6,7 @@ processors and systems are run by an emulator; for what is missing here, a test 
 """
 
 import ctypes
+import itertools
 import shutil
 import struct
 import subprocess
@@ -20,10 +21,13 @@ from adaptrack.core.build.objects import undefined
 from adaptrack.core.controllers.mpc_step import Step
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.maths.values import NAMES
+from adaptrack.core.synthesis import laws
+from adaptrack.core.synthesis.rows import row_of
 from adaptrack.drive.batch import Batch
 from adaptrack.road import plan_speed, road_through
+from by_kernels import CASES, prepared
 from processors import board
-from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, STEP, TELL, Image, bits, run
+from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
 from test_export_c import POINTS, calls
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
@@ -169,7 +173,25 @@ def add_drive(image, batch):
     return run_
 
 
-IMAGES = {"elementary": elementary, "mpc": mpc_steps, "drives": drives}
+def synthesis(rng):
+    """The numbers of MPCs and of an LQR, made of cars and beliefs."""
+    image = Image()
+    for name, case in itertools.product(("paper", "midsize-sedan", "van"), CASES):
+        order, parts, constants = prepared(at.load_vehicle(name), CASES[case])
+        rows, found = [image.put(np.array([each])) for each in (order, parts)], image.record(constants)
+        image.do(MAKE, *rows, found)
+        for values in constants:
+            image.do(TELL, image.put(values), values.nbytes // 8)
+    car = at.load_vehicle("van")
+    common = row_of(laws.Common, period=0.05, move_min=-0.1, move_max=0.1, angle_min=-0.5, angle_max=0.5)
+    tuning, gains = np.array([1.0, 100.0, 1000.0, 0.0]), np.zeros(laws.LQR)
+    given = [image.put(values) for values in (np.array([car.numbers]), np.array([common]), tuning, gains)]
+    image.do(GAINS, *given)
+    image.do(TELL, given[-1], gains.size)
+    return image
+
+
+IMAGES = {"elementary": elementary, "mpc": mpc_steps, "drives": drives, "synthesis": synthesis}
 
 
 @pytest.fixture(scope="module")

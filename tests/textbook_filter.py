@@ -32,7 +32,10 @@ class TextbookFilter:
         self.size = len(self.names)
         self.variances = dict(zip(SENSORS, estimator.variances(), strict=True))
         self.Q = np.diag([getattr(estimator.drifts, name, 0.0) ** 2 for name in self.names])
-        self.Q[self.n : self.n + 2, self.n : self.n + 2] = estimator.disturbance_drift(model)
+        car = model.vehicle  # side wind C_s pushes, and turns by the arm C_ym L/C_s
+        arm = car.wheelbase * car.yaw_moment_slope / car.side_force_slope if car.side_force_slope > 0.0 else 0.0
+        wind = estimator.drifts.wind * np.array([1.0, arm * car.mass / car.yaw_inertia])
+        self.Q[self.n : self.n + 2, self.n : self.n + 2] += np.outer(wind, wind)
         if offsets:
             self.Q[-1, -1] = estimator.drifts.yaw_rate_offset**2
         self.Q *= model.period
@@ -189,7 +192,7 @@ class TextbookFilter:
 
     def judge(self, name, found):
         """Average the squared innovation of a sensor over its variance."""
-        share = self.own.shares(self.model.period)[name == self.left_out]
+        share = min(1.0, self.model.period / self.own.window[name == self.left_out])
         self.disagreement[name] += share * (min(found, 2.0 * self.own.bound**2) - self.disagreement[name])
 
     def choose_left_out(self):

@@ -211,6 +211,7 @@ _PUBLIC = {
     "studies.adapt": ("adapt",),
     "studies.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
+    "export.fmu": ("export_fmu",),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
@@ -321,6 +322,7 @@ if TYPE_CHECKING:
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.drive.world import Driver
     from adaptrack.export.c_library import export_c
+    from adaptrack.export.fmu import export_fmu
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.training import train
@@ -446,6 +448,7 @@ __all__ = [
     "commonroad_vehicle",
     "compute_metrics",
     "export_c",
+    "export_fmu",
     "find_failure",
     "fit_road",
     "generate_road",

@@ -14,8 +14,10 @@ from adaptrack.core import rollout
 from adaptrack.core.controllers.mpc_step import step as mpc_step
 from adaptrack.core.kernel import EXPORTED, Array, float64
 from adaptrack.core.maths.values import elementary_values
+from adaptrack.core.synthesis.informed import informed_constants, informed_parts
+from adaptrack.core.synthesis.laws import LQR, lqr_parameters
 
-ELEMENTARY, COPY, STEP, BEGIN, DRIVE, TELL = range(6)
+ELEMENTARY, COPY, STEP, BEGIN, DRIVE, TELL, MAKE, GAINS = range(8)
 
 
 class Image:
@@ -94,6 +96,7 @@ def run(image, library):
     for word, number in image.links:
         memory[word] = address(image.functions[number])
     elementary, step, begin, drive = map(kernel, (elementary_values, mpc_step, rollout.begin, rollout.rollout))
+    parts, constants, gains = map(kernel, (informed_parts, informed_constants, lqr_parameters))
     told = []
     for what, a, b, c, d in image.code:
         if what == ELEMENTARY:
@@ -106,6 +109,11 @@ def run(image, library):
             begin(a, base + 8 * b)
         elif what == DRIVE:
             drive(base + 8 * a, base + 8 * b)
+        elif what == MAKE:
+            parts(base + 8 * a, base + 8 * b)
+            constants(base + 8 * a, base + 8 * b, base + 8 * c)
+        elif what == GAINS:
+            gains(base + 8 * a, base + 8 * b, base + 8 * c, 4, base + 8 * d, LQR)
         else:
             told.append(memory[a : a + b].copy())
     return np.concatenate(told)

@@ -22,6 +22,9 @@ from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
+from adaptrack.core.synthesis import car
+from adaptrack.core.synthesis.filter import in_periods as in_periods
+from adaptrack.core.synthesis.rows import row_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -117,13 +120,6 @@ class Tyre(Record):
             self.stiffness_front * (s0 + s1 * front) / (1.0 + s2 * front**2),
             self.stiffness_rear * (s0 + s1 * rear) / (1.0 + s2 * rear**2),
         )
-
-
-def in_periods(time: float, period: float) -> tuple[int, float]:
-    """A time (s) in whole periods (s), and the share of one more."""
-    whole = math.floor(time / period + 1e-9)
-    share = time / period - whole
-    return whole, share if share > 1e-9 else 0.0
 
 
 class SteeringActuator(Record):
@@ -250,10 +246,13 @@ class Vehicle(Record):
     air_density: float = Field(default=1.225, ge=0, le=10, description="kg/m^3, density of the air")
     drag_coefficient: float = Field(default=0.3, ge=0, le=10, description="-, of the air drag")
     side_force_slope: float = Field(
-        default=3.0, ge=0, le=100, description="1/rad, side-force coefficient per relative wind angle"
+        default=car.SIDE_FORCE_SLOPE, ge=0, le=100, description="1/rad, side-force coefficient per relative wind angle"
     )
     yaw_moment_slope: float = Field(
-        default=1.0, ge=0, le=100, description="1/rad, yaw-moment coefficient (on the wheelbase) per wind angle"
+        default=car.YAW_MOMENT_SLOPE,
+        ge=0,
+        le=100,
+        description="1/rad, yaw-moment coefficient (on the wheelbase) per wind angle",
     )
     wind_angle_limit: float = Field(
         default=0.3, gt=0, le=math.pi / 2, description="rad, both coefficients stay constant beyond it"
@@ -344,6 +343,11 @@ class Vehicle(Record):
         return self.lf + self.lr
 
     @property
+    def numbers(self) -> Any:
+        """What the kernels of controller synthesis know of it, a row of `core.synthesis.car.Car`."""
+        return row_of(car.Car, self)
+
+    @property
     def static_loads(self) -> tuple[float, float]:
         """Vertical load (N) of one front and one rear wheel of the car at rest."""
         per_length = 0.5 * self.mass * GRAVITY / self.wheelbase
@@ -355,7 +359,7 @@ class Vehicle(Record):
 
         K = m (l_r/(2 C_f) - l_f/(2 C_r))/L (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.3).
         """
-        return self.mass / self.wheelbase * (self.lr / (2 * self.stiffness_front) - self.lf / (2 * self.stiffness_rear))
+        return float(car.understeer_gradient(self.numbers))
 
     @property
     def understeer_range(self) -> tuple[float, float]:

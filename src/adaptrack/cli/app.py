@@ -20,6 +20,7 @@ from adaptrack.cli import (
     evaluate,
     evaluate_schedules,
     export,
+    export_fmu,
     identify,
     lists,
     manoeuvre,
@@ -86,5 +87,6 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(dataset.app, name="dataset")
+export.app.command("fmu")(export_fmu.export_fmu)
 app.add_typer(export.app, name="export")
 app.add_typer(road.app, name="road")

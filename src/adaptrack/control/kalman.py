@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, final
+from dataclasses import dataclass
+from typing import Annotated, Any, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +14,21 @@ from pydantic import Field
 
 from adaptrack.base.checked import Bound, Finite, Hint, NotNegative, Number, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Vehicle, in_periods
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.estimation import Estimator
 from adaptrack.control.models import MEASURED, PathModel, PredictionModel
-from adaptrack.core.estimators.kalman import LEAST_NOISE, STATE, Numbers, kalman, memory_of, memory_size, move_path
+from adaptrack.core.estimators.kalman import Numbers, kalman, memory_of, move_path
+from adaptrack.core.kernel import size_of
+from adaptrack.core.synthesis import car
+from adaptrack.core.synthesis import filter as kernel
+from adaptrack.core.synthesis.rows import row_of
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
 
 SENSORS = (*MEASURED, "lateral_acceleration")
 """What the filter takes in."""
-
+_NOISE, _DRIFTS, _USUAL = kernel.USUAL_NOISE, kernel.USUAL_DRIFTS, kernel.USUAL
 
 OLDEST = 2.0
 """s, of a sample that is still taken in."""
@@ -42,14 +45,14 @@ class SensorNoise:
     The defaults are those of the profile ``road``.
     """
 
-    vy: Annotated[_Noise, "m/s"] = 0.05
-    yaw: Annotated[_Noise, "rad"] = 0.003
-    yaw_rate: Annotated[_Noise, "rad/s"] = 0.01
-    y: Annotated[NotNegative, "m", Hint("without a measured lateral position there is no path tracking")] = 0.03
-    wheel_angle: Annotated[_Noise, "rad"] = math.inf
-    lateral_acceleration: Annotated[_Noise, "m/s^2"] = math.inf
+    vy: Annotated[_Noise, "m/s"] = _NOISE.vy
+    yaw: Annotated[_Noise, "rad"] = _NOISE.yaw
+    yaw_rate: Annotated[_Noise, "rad/s"] = _NOISE.yaw_rate
+    y: Annotated[NotNegative, "m", Hint("without a measured lateral position there is no path tracking")] = _NOISE.y
+    wheel_angle: Annotated[_Noise, "rad"] = _NOISE.wheel_angle
+    lateral_acceleration: Annotated[_Noise, "m/s^2"] = _NOISE.lateral_acceleration
     """of an accelerometer at the centre of gravity"""
-    yaw_rate_offset: Annotated[_Noise, "rad/s"] = 0.0
+    yaw_rate_offset: Annotated[_Noise, "rad/s"] = _NOISE.yaw_rate_offset
     """of an error of the yaw rate that stays; 0: there is none to be estimated"""
 
 
@@ -62,29 +65,39 @@ class Drifts:
     tyres, which says how much of what the model cannot explain is a disturbance.
     """
 
-    vy: Annotated[NotNegative, "m/s"] = 0.03
-    yaw: Annotated[NotNegative, "rad"] = 0.001
-    yaw_rate: Annotated[NotNegative, "rad/s"] = 0.015
-    y: Annotated[NotNegative, "m"] = 0.01
-    wheel_angle: Annotated[NotNegative, "rad"] = 0.01
-    side: Annotated[NotNegative, "m/s^2"] = 0.03
+    vy: Annotated[NotNegative, "m/s"] = _DRIFTS.vy
+    yaw: Annotated[NotNegative, "rad"] = _DRIFTS.yaw
+    yaw_rate: Annotated[NotNegative, "rad/s"] = _DRIFTS.yaw_rate
+    y: Annotated[NotNegative, "m"] = _DRIFTS.y
+    wheel_angle: Annotated[NotNegative, "rad"] = _DRIFTS.wheel_angle
+    side: Annotated[NotNegative, "m/s^2"] = _DRIFTS.side
     """of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: Annotated[NotNegative, "rad/s^2"] = 0.05
+    turn: Annotated[NotNegative, "rad/s^2"] = _DRIFTS.turn
     """of the yaw disturbance d_r"""
-    wind: Annotated[NotNegative, "m/s^2"] = 0.35
+    wind: Annotated[NotNegative, "m/s^2"] = _DRIFTS.wind
     """of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
-    yaw_rate_offset: Annotated[NotNegative, "rad/s"] = 0.0002
+    yaw_rate_offset: Annotated[NotNegative, "rad/s"] = _DRIFTS.yaw_rate_offset
     """of the yaw-rate sensor's offset"""
-    sliding: Annotated[NotNegative, "s^0.5"] = 0.2
+    sliding: Annotated[NotNegative, "s^0.5"] = _DRIFTS.sliding
     """of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
     the model and F_z its load. In the brush model of a tyre sliding takes F^2/(3 mu F_z) away (Pacejka, Tire and
     Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
-    sliding_time: Annotated[Positive, "s"] = 0.3
+    sliding_time: Annotated[Positive, "s"] = _DRIFTS.sliding_time
     """how long such a deviation lasts: by it an accelerometer is off by sliding F^2/F_z/(m sqrt(2 sliding_time))"""
-    grip: Annotated[NotNegative, "m/s^2"] = 7.0
+    grip: Annotated[NotNegative, "m/s^2"] = _DRIFTS.grip
     """what the tyres can pull at most: a disturbance is no larger than that less what they pull in the model,"""
-    least_spare: Annotated[Positive, "m/s^2"] = 0.5
+    least_spare: Annotated[Positive, "m/s^2"] = _DRIFTS.least_spare
     """but may always be this large"""
+
+    @property
+    def numbers(self) -> Any:
+        """A row of `core.synthesis.filter.Drifts`."""
+        return row_of(kernel.Drifts, self)
+
+    @classmethod
+    def of(cls, row: Any) -> Self:
+        """The drifts of such a row."""
+        return cls(*row.tolist())
 
 
 @final
@@ -116,17 +129,17 @@ class KalmanFilter(Estimator):
 
     noise: SensorNoise = SensorNoise()
     drifts: Drifts = Drifts()
-    bound: Annotated[Bound, Hint("inf: no bound")] = 5.0
-    spread: tuple[NotNegative, NotNegative] = (0.3, 0.3)
-    oldest: Annotated[Finite, within(0.0, OLDEST), "s"] = 0.0
-    patience: Annotated[Number, Field(ge=0.0), "s", Hint("inf: for ever")] = 3.0
-    settling: Annotated[Bound, "s", Hint("inf: no averaging")] = 10.0
-    distrust: Annotated[Bound, Hint("inf: no sensor is left out")] = 10.0
-    trust: Bound = 2.0
-    window: Annotated[tuple[Positive, Positive], "s"] = (0.5, 5.0)
-    friction: Positive = 0.9
-    shape: Annotated[Finite, Field(gt=1.0, lt=2.0)] = 1.3
-    longest: Annotated[Finite, within(0.0, LONGEST), "s"] = 0.0
+    bound: Annotated[Bound, Hint("inf: no bound")] = _USUAL.bound
+    spread: tuple[NotNegative, NotNegative] = (_USUAL.spread_side, _USUAL.spread_turn)
+    oldest: Annotated[Finite, within(0.0, OLDEST), "s"] = _USUAL.oldest
+    patience: Annotated[Number, Field(ge=0.0), "s", Hint("inf: for ever")] = _USUAL.patience
+    settling: Annotated[Bound, "s", Hint("inf: no averaging")] = _USUAL.settling
+    distrust: Annotated[Bound, Hint("inf: no sensor is left out")] = _USUAL.distrust
+    trust: Bound = _USUAL.trust
+    window: Annotated[tuple[Positive, Positive], "s"] = (_USUAL.window_taken_in, _USUAL.window_left_out)
+    friction: Positive = _USUAL.friction
+    shape: Annotated[Finite, Field(gt=1.0, lt=2.0)] = _USUAL.shape_factor
+    longest: Annotated[Finite, within(0.0, LONGEST), "s"] = _USUAL.longest
     name = "kalman"
 
     def __post_init__(self) -> None:
@@ -137,13 +150,33 @@ class KalmanFilter(Estimator):
 
     @classmethod
     def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
-        """For the sensors of a profile."""
-        names = [each.name for each in fields(SensorNoise) if each.name != "yaw_rate_offset"]
-        noise = {name: getattr(profile, f"noise_{name}") for name in names}
-        if profile.bias_wheel_angle > 0.0 or profile.noise_wheel_angle == 0.0:
-            noise["wheel_angle"] = math.inf  # the model knows the angle better than a sensor that is off, or as well
-        offset = profile.bias_yaw_rate / math.sqrt(3.0)  # standard deviation of a uniform error
-        return cls(SensorNoise(**noise, yaw_rate_offset=offset), drifts or Drifts(), oldest=profile.oldest)
+        """For the sensors of a profile, see `core.synthesis.filter.sensor_noise`."""
+        noise = row_of(kernel.Noise)
+        kernel.sensor_noise(profile.numbers(profile.period), noise)
+        return cls(SensorNoise(*noise.tolist()), drifts or Drifts(), oldest=profile.oldest)
+
+    @property
+    def numbers(self) -> Any:
+        """A row of `core.synthesis.filter.Filter`."""
+        made = kernel.Filter.new(1)
+        spread_side, spread_turn = self.spread
+        taken_in, left_out = self.window
+        own = (
+            self.bound, spread_side, spread_turn, self.oldest, self.patience, self.settling, self.distrust, self.trust,
+            taken_in, left_out, self.friction, self.shape, self.longest,
+        )  # fmt: skip
+        made.view(float)[:] = [*row_of(kernel.Noise, self.noise).tolist(), *self.drifts.numbers.tolist(), *own]
+        return made[0]
+
+    @classmethod
+    def of(cls, row: Any) -> KalmanFilter:
+        """The filter of such a row."""
+        noise, drifts, bound, side, turn, oldest, patience, settling, distrust, trust, *rest = row.tolist()
+        taken_in, left_out, friction, shape, longest = rest
+        return cls(
+            SensorNoise(*noise), Drifts(*drifts), bound, (side, turn), oldest, patience, settling, distrust, trust,
+            (taken_in, left_out), friction, shape, longest,
+        )  # fmt: skip
 
     @property
     def function(self) -> Any:
@@ -154,7 +187,7 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"estimator 'kalman': needs the path model, and model {model.name!r} is another one.")
 
     def memory_size(self, model: PredictionModel) -> int:
-        return int(memory_size(self._longest(model), self.late(model)))
+        return int(kernel.filter_size(*kernel.filter_periods(self.numbers, model.period, model.dead_time)))
 
     def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
         move_path(memory, self.late(model), heading, offset)
@@ -163,28 +196,15 @@ class KalmanFilter(Estimator):
         out = int(memory_of(memory, 0).left_out)
         return SENSORS[out - 1] if out else None
 
-    def _longest(self, model: PredictionModel) -> int:
-        """Whole periods of the longest dead time."""
-        return max(_periods(model)[0], in_periods(self.longest, model.period)[0])
-
     def late(self, model: PredictionModel) -> int:
         """Periods that are gone through anew at every step, for the samples that come late."""
-        return math.floor(self.oldest / model.period + 0.5)
+        return int(kernel.filter_periods(self.numbers, model.period, model.dead_time)[1])
 
     def variances(self) -> Array:
         """(6,) of what `SENSORS` give; inf: none."""
-        noise = [getattr(self.noise, name) for name in SENSORS]
-        return np.maximum(noise, LEAST_NOISE) ** 2
-
-    def shares(self, period: float) -> tuple[float, float]:
-        """By which the mean of the squared innovations moves with a sample that is taken in, and with one left out."""
-        taken_in, left_out = self.window
-        return min(1.0, period / taken_in), min(1.0, period / left_out)
-
-    def disturbance_drift(self, model: PathModel) -> Array:
-        """(2, 2) variances and covariance that a second adds to d_y and d_r."""
-        side_wind = self.drifts.wind * np.array([1.0, wind_turn(model.vehicle)])
-        return np.diag([self.drifts.side**2, self.drifts.turn**2]) + np.outer(side_wind, side_wind)
+        found = np.empty(len(SENSORS))
+        kernel.sensor_variances(row_of(kernel.Noise, self.noise), found)
+        return found
 
     @property
     def tyres(self) -> tuple[float, float]:
@@ -192,38 +212,11 @@ class KalmanFilter(Estimator):
 
     def parameters(self, model: PredictionModel) -> Array:
         assert isinstance(model, PathModel)
-        whole, share = _periods(model)
-        forgetting, regaining = self.shares(model.period)
-        spread_side, spread_turn, spread_offset = (each**2 for each in (*self.spread, self.noise.yaw_rate_offset))
-        drifts, together = self.drifts, self.disturbance_drift(model)
-        drift = {name: getattr(drifts, name) ** 2 for name in model.states}
-        drift |= {"side": together[0, 0], "turn": together[1, 1]}
-        if self.noise.yaw_rate_offset > 0.0:
-            drift["offset"] = drifts.yaw_rate_offset**2
-        read = [name in (*model.states, "lateral_acceleration") for name in SENSORS]
-        numbers = Numbers.new(
-            period=model.period, whole=whole, share=share, longest=self._longest(model), late=self.late(model),
-            bound=self.bound, patience=self.patience / model.period, distrust=self.distrust, trust=self.trust,
-            forgetting=forgetting, regaining=regaining, settling=min(1.0, model.period / self.settling),
-            variance=np.where(read, self.variances(), math.inf),
-            drift=[drift.get(name, 0.0) * model.period for name in STATE._fields],
-            drift_both=together[0, 1] * model.period,
-            sliding=drifts.sliding**2, sliding_time=drifts.sliding_time,
-            grip=drifts.grip, least_spare=drifts.least_spare, friction=self.friction, shape_factor=self.shape,
-            spread_side=spread_side, spread_turn=spread_turn, spread_offset=spread_offset,
-            model=tuple(model.parameters()),
-        )  # fmt: skip
-        return np.asarray(numbers.view(float))
+        found = np.zeros(size_of(Numbers))
+        kernel.filter_numbers(self.numbers, model.vehicle.numbers, model.period, model.lag, model.dead_time, found)
+        return found
 
 
 def wind_turn(vehicle: Vehicle) -> float:
-    """d_r over d_y (1/m) of side wind: L C_ym m/(C_s I_z), 0 for a body that feels none."""
-    if vehicle.side_force_slope == 0.0:
-        return 0.0
-    arm = (vehicle.lf + vehicle.lr) * vehicle.yaw_moment_slope / vehicle.side_force_slope
-    return arm * vehicle.mass / vehicle.yaw_inertia
-
-
-def _periods(model: PredictionModel) -> tuple[int, float]:
-    """The dead time of a model in periods: whole ones and the share of one more."""
-    return in_periods(model.dead_time, model.period)
+    """d_r over d_y (1/m) of side wind, see `core.synthesis.car.wind_turn`."""
+    return float(car.wind_turn(vehicle.numbers))

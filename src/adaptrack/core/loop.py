@@ -53,6 +53,7 @@ OWN = record(
     "Own",
     (
         "instant",  # the present control instant
+        "sample",  # where it is in the signals
         "command",  # rad, the controller's last one
         "blind_until",  # s, no pose is measured before
         "integral",  # m, of the driver's speed error
@@ -67,7 +68,7 @@ OWN = record(
         "located",  # 1 once the foot is known
         "place",  # the instant at which the plan is where the car is
     ),
-    whole=("instant", "arrived", "ended", "located", "place"),
+    whole=("instant", "sample", "arrived", "ended", "located", "place"),
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
@@ -257,7 +258,7 @@ def sense(slot, run):
 def look(slot, measured, run):
     """Write the scheduling variables (`VARIABLES`) of a slot; measured: see `sense`."""
     own, signals, scenario, variables = run.memory.own[slot], run.given.signals, run.given.scenario[slot], run.variables
-    k = own.instant
+    k = own.sample
     y_ref = signals[scenario, SIGNAL.y_ref, k]
     variables[VARIABLES.speed] = own.speed
     variables[VARIABLES.y_ref] = y_ref
@@ -316,7 +317,7 @@ def actuate(slot, command, run):
     command: the controller's new one (rad); with a dead time, one before acts.
     """
     own, block, world = run.memory.own[slot], run.vehicles.block, run.settings
-    signals, scenario, k = run.given.signals, run.given.scenario[slot], own.instant
+    signals, scenario, k = run.given.signals, run.given.scenario[slot], own.sample
     vx = block[state_at(STATE.vx, slot)]
     block[input_at(INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
     own.command = command
@@ -365,7 +366,8 @@ def memory(slots: int, dead_whole: int, past: int) -> Any:
 def forget(slot, memory):
     """Back to before the first instant."""
     own = memory.own[slot]
-    own.instant, own.command, own.integral, own.arrived, own.ended, own.ended_at = 0, 0.0, 0.0, 0, RUNNING, 0.0
+    own.instant, own.sample, own.arrived, own.ended = 0, 0, 0, RUNNING
+    own.command, own.integral, own.ended_at = 0.0, 0.0, 0.0
     own.station, own.turned, own.located, own.place, own.blind_until, own.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
     memory.sent[slot, :] = 0.0
     memory.past[slot, :, :] = 0.0

@@ -175,7 +175,7 @@ def _judge_and_count(slot, span, run):
     """Judge the run; count its error, unless it ends here."""
     own, found, block = run.memory.own[slot], run.result[slot], run.vehicles.block
     k = own.instant
-    own.error = own.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k]
+    own.error = own.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, own.sample]
     own.ended = judge(slot, run)
     if run.features.traces:
         for j in range(STATES):
@@ -219,6 +219,7 @@ def after_control(slot, command, change, span, run):
     if found.squared_error + span.weight * found.squared_move >= run.ceiling[slot]:
         own.ended = STOPPED
     own.instant += 1
+    own.sample += 1
 
 
 @inlined

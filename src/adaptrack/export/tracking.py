@@ -112,10 +112,7 @@ def tracking_block(controller: Any, room: Room | None = None, furthest: float = 
     """
     refuse(controller)
     none: Any = None  # the C program gives path and plan
-    record = record_of(controller, none, furthest=furthest)
-    if isinstance(controller, MPC):
-        small = controller.settings(*room_of(controller, room), residuals=False)
-        record = record._replace(step=record.step._replace(mpc=_with_learned(controller, small)))
+    record = small_record_of(controller, none, None, furthest, room)
     kind = Tracking if isinstance(controller, MPC) else LawTracking
     return pack(record, kind.__name__, ROLES, STARTS, RESETS, OUTSIDE)
 
@@ -125,6 +122,17 @@ def record_of(controller: Any, path: Road, plan: SpeedPlan | None = None, furthe
     record = tracking_of(controller, path, plan, furthest)
     if isinstance(controller, MPC):
         record = record._replace(step=record.step._replace(mpc=_with_learned(controller, controller.settings())))
+    return record
+
+
+def small_record_of(
+    controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, room: Room | None = None
+) -> Any:
+    """`record_of`, of an MPC with memory for no longer horizons than it needs (`room_of`)."""
+    record = record_of(controller, path, plan, furthest)
+    if isinstance(controller, MPC):
+        small = controller.settings(*room_of(controller, room), residuals=False)
+        record = record._replace(step=record.step._replace(mpc=_with_learned(controller, small)))
     return record
 
 

@@ -12,6 +12,8 @@ from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.files import Record, build, read_toml
 from adaptrack.cars.vehicle import SteeringActuator, find_data, list_data
+from adaptrack.core.synthesis.rows import row_of
+from adaptrack.core.synthesis.tuning import World
 
 
 def _noise(description: str) -> Any:
@@ -109,6 +111,12 @@ class Profile(Record):
     def dead_time(self) -> float:
         """From an instant until its command begins to act (s), at this profile's own period."""
         return self.delay * self.period + self.steering.dead_time
+
+    def numbers(self, period: float) -> Any:
+        """What a controller of this control period (s) is told: a row of `core.synthesis.tuning.World`."""
+        return row_of(
+            World, self, period=period, computation=self.delay * period, move_weight=self.move_weight * self.period**2
+        )
 
     @property
     def noise(self) -> tuple[float, float, float, float]:

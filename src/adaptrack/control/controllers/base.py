@@ -18,17 +18,12 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.core.synthesis import laws
+from adaptrack.core.synthesis.car import Steering as SteeringRow
+from adaptrack.core.synthesis.rows import row_of
 from adaptrack.road.ahead import RoadAhead, straight
 
 Array = NDArray[np.float64]
-
-STEERING_DELAY = 0.2
-"""s, lag and dead time together of a steering of which nothing is known: published values are 0.1 to 0.5 s."""
-MOST_STEERING_DELAY = 0.35
-"""s, the same at its upper end: with a control period of computation what opendbc lists for series cars, 0.1 to 0.4 s
-(`steerActuatorDelay`). The MPC believes it, because too short a delay loses the car and too long a one costs little."""
-LEAST_STEERING_RATE = 0.4
-"""rad/s at the road wheels, the lowest of published rate limits (CommonRoad vehicle models, vehicle 2)."""
 
 
 class Command(NamedTuple):
@@ -263,6 +258,14 @@ class CompiledController(Controller):
         """The law's constant numbers."""
         return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
 
+    def _made_by(self, kernel: Any, size: int, *more: Any) -> Array:
+        """What a kernel of `core.synthesis.laws` makes of the vehicle behind `COMMON`; size: of all parameters."""
+        (low, high), (least, most) = self.limits.move, self.limits.angle
+        common = row_of(laws.Common, period=self.period, move_min=low, move_max=high, angle_min=least, angle_max=most)
+        found = np.zeros(size)
+        kernel(self.vehicle.numbers, common, *more, found)
+        return found[len(laws.Common._fields) :]
+
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
         where = type(self).__name__
@@ -365,8 +368,5 @@ def known_vehicle(where: str, vehicle: Vehicle) -> Vehicle:
 
 
 def steering_delay(vehicle: Vehicle) -> float:
-    """Lag and dead time (s) of a car's steering as far as they are known, else `STEERING_DELAY`."""
-    steering = vehicle.steering
-    if steering is None or (steering.lag is None and steering.dead_time is None):
-        return STEERING_DELAY
-    return (steering.lag or 0.0) + (steering.dead_time or 0.0)
+    """Lag and dead time (s) of a car's steering as far as they are known, else `laws.STEERING_DELAY`."""
+    return float(laws.steering_delay(row_of(SteeringRow, vehicle.steering)))

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field
 
 from adaptrack.base.checked import RISING, Bound, Count, Finite, Hint, NotNegative, Number, Positive, checked
 from adaptrack.base.limits import LAGUERRE_TERMS
+from adaptrack.core.synthesis.belief import ANGLE, MOVE
 
 
 def _holds_zero(pair: tuple[float, float]) -> tuple[float, float]:
@@ -29,9 +30,9 @@ class Limits:
     A move and an angle of 0 are always allowed: so some move is feasible at every step.
     """
 
-    move: Annotated[_AboutZero, "rad"] = (-math.pi / 12, math.pi / 12)
+    move: Annotated[_AboutZero, "rad"] = (-MOVE, MOVE)
     """per control period, eq. (13)"""
-    angle: Annotated[_AboutZero, "rad"] = (-math.pi / 6, math.pi / 6)
+    angle: Annotated[_AboutZero, "rad"] = (-ANGLE, ANGLE)
     """eq. (14)"""
     output: Annotated[tuple[Number, Number], RISING, "m", Hint("(low, high)")] = (-math.inf, math.inf)
     """eq. (15); soft: one slack variable, its square weighed, so that the QP stays feasible"""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
@@ -24,13 +23,14 @@ from adaptrack.control.controllers.base import (
 )
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.core.controllers import lqr as kernel
+from adaptrack.core.synthesis import laws
+from adaptrack.core.synthesis.rows import row_of
 
-SPEEDS = np.geomspace(1.0, 60.0, 21)
+SPEEDS = np.geomspace(laws.SLOWEST, laws.FASTEST, laws.SPEEDS)
 """m/s, where gains are computed; between them they are interpolated over log v."""
-WEIGHT_FACTORS = 10.0 ** np.arange(-2.0, 2.25, 0.5)
+WEIGHT_FACTORS = 10.0 ** np.linspace(-laws.DECADES, laws.DECADES, laws.WEIGHTS)
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
-
-MOST_DOUBLINGS = 60
+_FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
 
 
 class LQR(CompiledController):
@@ -91,23 +91,7 @@ class LQR(CompiledController):
         return kernel.lqr
 
     def own_parameters(self) -> Array:
-        car, t = self.vehicle, self.tuning
-        e, heading = t["q_e"] / t["r"], t["q_heading"] / t["r"]
-        steps = np.log(WEIGHT_FACTORS)
-        head = (
-            car.wheelbase,
-            car.lr,
-            car.understeer_gradient,
-            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase),
-            math.log(SPEEDS[0]),
-            math.log(SPEEDS[-1] / SPEEDS[0]) / (len(SPEEDS) - 1),
-            len(SPEEDS),
-            math.log(e) + steps[0],
-            math.log(heading) + steps[0],
-            steps[1] - steps[0],
-            len(steps),
-        )
-        return np.concatenate([head, _grid(car, self.period, e, heading).reshape(-1)])
+        return _parameters(self.vehicle, self.period, tuple(self.tuning[name] for name in ("q_e", "q_heading", "r")))
 
     def gain_at(self, speed: float) -> Array:
         """The feedback gain (4,) of the controller's own weights at a speed (m/s), not interpolated."""
@@ -119,33 +103,17 @@ class LQR(CompiledController):
 
 
 def error_model(vehicle: Vehicle, speed: float) -> tuple[Array, Array]:
-    """A (4, 4) and B (4,) of dx/dt = A x + B delta for x = [e, de/dt, psi_e, dpsi_e/dt] on a straight path.
-
-    e: m, to the left of the path; psi_e: rad, the car's heading less the path's; delta: rad; speed: v (m/s).
-    Rajamani, *Vehicle Dynamics and Control*, 2nd ed., eq. (2.45).
-    """
-    m, inertia, lf, lr = vehicle.mass, vehicle.yaw_inertia, vehicle.lf, vehicle.lr
-    front, rear = 2.0 * vehicle.stiffness_front, 2.0 * vehicle.stiffness_rear
-    both, moment, turning = front + rear, front * lf - rear * lr, front * lf**2 + rear * lr**2
-    A = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0],
-            [0.0, -both / (m * speed), both / m, -moment / (m * speed)],
-            [0.0, 0.0, 0.0, 1.0],
-            [0.0, -moment / (inertia * speed), moment / inertia, -turning / (inertia * speed)],
-        ]
-    )
-    return A, np.array([0.0, front / m, 0.0, front * lf / inertia])
+    """A (4, 4) and B (4,) of dx/dt = A x + B delta, see `core.synthesis.laws.lqr_error_model`."""
+    A, B = np.zeros((4, 4)), np.zeros(4)
+    laws.lqr_error_model(vehicle.numbers, speed, A, B)
+    return A, B
 
 
 def sampled_error_model(vehicle: Vehicle, period: float, speed: float) -> tuple[Array, Array]:
     """`error_model` over one period (s) with the steering held."""
-    from scipy.linalg import expm
-
-    block = np.zeros((5, 5))
-    block[:4, :4], block[:4, 4] = error_model(vehicle, speed)
-    sampled = expm(block * period)
-    return sampled[:4, :4], sampled[:4, 4]
+    A, B = np.zeros((4, 4)), np.zeros(4)
+    laws.sampled_error_model(vehicle.numbers, period, speed, A, B)
+    return A, B
 
 
 def lqr_gain(A: Array, B: Array, q_e: ArrayLike, q_heading: ArrayLike) -> Array:
@@ -153,47 +121,47 @@ def lqr_gain(A: Array, B: Array, q_e: ArrayLike, q_heading: ArrayLike) -> Array:
 
     A (..., 4, 4) and B (..., 4), one weight of each kind for every model; errors as of `riccati`.
     """
-    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
-    Q = np.zeros_like(A)
+    Q = np.zeros_like(A, dtype=float)
     Q[..., 0, 0], Q[..., 2, 2] = q_e, q_heading
     return feedback(A, B, riccati(A, B, Q))
 
 
-def riccati(A: Array, B: Array, Q: Array) -> Array:
-    """P (..., n, n) of the discrete algebraic Riccati equation of x' = A x + B u with the cost sum x'Q x + u^2.
+def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
+    """P (..., n, n) of the Riccati equation of x' = A x + B u with the cost sum x'Q x + u^2.
 
-    A, Q (..., n, n), B (..., n). By doubling (E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, *Structure-preserving
-    algorithms for periodic discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004).
+    A, Q (..., n, n), B (..., n), see `core.synthesis.laws.riccati`.
 
     Raises
     ------
     InvalidInput
         When the iteration does not converge: weights further apart than float64 can tell.
     """
-    F, G, P = A, B[..., :, None] * B[..., None, :], Q.copy()
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(MOST_DOUBLINGS):
-            W = np.eye(A.shape[-1]) + G @ P
-            step = np.linalg.solve(W, F)
-            turned = np.swapaxes(F, -1, -2)
-            change = turned @ P @ step
-            G, P, F = G + F @ np.linalg.solve(W, G) @ turned, P + change, F @ step
-            if np.all(np.abs(change).max((-1, -2)) <= 1e-14 * np.abs(P).max((-1, -2))):
-                return P
-    raise InvalidInput("LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer.")
+    (a, b), q = _models(A, B), np.ascontiguousarray(Q, dtype=float)
+    n = b.shape[-1]
+    found, work = np.empty(a.shape), np.empty(7 * n * n)
+    for i in np.ndindex(b.shape[:-1]):
+        if laws.riccati(a[i], b[i], q[i], found[i], work) == 0:
+            raise InvalidInput(_FAR_APART)
+    return found
 
 
-def feedback(A: Array, B: Array, P: Array) -> Array:
+def feedback(A: ArrayLike, B: ArrayLike, P: Array) -> Array:
     """The gains (..., n), (1 + B'PB)^-1 B'PA."""
-    BP = np.einsum("...i,...ij->...j", B, P)
-    return np.einsum("...i,...ij->...j", BP, A) / (1.0 + np.einsum("...i,...i->...", BP, B))[..., None]
+    a, b = _models(A, B)
+    found = np.empty(b.shape)
+    for i in np.ndindex(b.shape[:-1]):
+        laws.lqr_feedback(a[i], b[i], P[i], found[i])
+    return found
+
+
+def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
+    return np.ascontiguousarray(A, dtype=float), np.ascontiguousarray(B, dtype=float)
 
 
 @lru_cache(maxsize=64)
-def _grid(vehicle: Vehicle, period: float, q_e: float, q_heading: float) -> Array:
-    """Gains (speeds, weights, weights, 4)."""
-    n = len(WEIGHT_FACTORS)
-    models = [sampled_error_model(vehicle, period, speed) for speed in SPEEDS]
-    A = np.broadcast_to(np.array([A for A, _ in models])[:, None, None], (len(SPEEDS), n, n, 4, 4))
-    B = np.broadcast_to(np.array([B for _, B in models])[:, None, None], (len(SPEEDS), n, n, 4))
-    return lqr_gain(A, B, q_e * WEIGHT_FACTORS[:, None], q_heading * WEIGHT_FACTORS)
+def _parameters(vehicle: Vehicle, period: float, tuning: tuple[float, ...]) -> Array:
+    """What the law's parameters hold behind `core.controllers.contract.COMMON`."""
+    found = np.zeros(laws.LQR)
+    if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), found) == 0:
+        raise InvalidInput(_FAR_APART)
+    return found[len(laws.Common._fields) :]

@@ -8,9 +8,10 @@ from typing import Annotated, Any
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers.base import Bounds, CompiledController, known_vehicle
+from adaptrack.control.controllers.base import Array, Bounds, CompiledController, known_vehicle
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.core.controllers import pure_pursuit as kernel
+from adaptrack.core.synthesis import laws
 
 
 class PurePursuit(CompiledController):
@@ -59,8 +60,8 @@ class PurePursuit(CompiledController):
     def function(self) -> Any:
         return kernel.pure_pursuit
 
-    def own_parameters(self) -> tuple[float, ...]:
-        return self.vehicle.wheelbase, self.vehicle.lr
+    def own_parameters(self) -> Array:
+        return self._made_by(laws.pure_pursuit_parameters, laws.PURSUIT)
 
     def describe(self) -> dict[str, Any]:
         return {**super().describe(), "law": "pure-pursuit", "vehicle": self.vehicle.name}

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers.base import Bounds, CompiledController, known_vehicle, steering_delay
+from adaptrack.control.controllers.base import Array, Bounds, CompiledController, known_vehicle, steering_delay
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.core.controllers import stanley as kernel
+from adaptrack.core.synthesis import laws
 
 
 class Stanley(CompiledController):
@@ -66,9 +67,8 @@ class Stanley(CompiledController):
     def function(self) -> Any:
         return kernel.stanley
 
-    def own_parameters(self) -> tuple[float, ...]:
-        car = self.vehicle
-        return car.lf, car.mass * car.lr / (2.0 * car.stiffness_front * car.wheelbase)
+    def own_parameters(self) -> Array:
+        return self._made_by(laws.stanley_parameters, laws.STANLEY)
 
     def describe(self) -> dict[str, Any]:
         return {**super().describe(), "law": "stanley", "vehicle": self.vehicle.name}

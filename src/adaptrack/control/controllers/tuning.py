@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import real, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
+from adaptrack.core.synthesis.tuning import TABLE
 
 Array = NDArray[np.float64]
 
@@ -30,13 +31,13 @@ class Tuning:
         Unless 1 <= Nc <= Np are integers, Q >= 0 and R > 0 are finite.
     """
 
-    Np: int = 35
+    Np: int = TABLE.Np
     """prediction horizon (control periods)"""
-    Nc: int = 8
+    Nc: int = TABLE.Nc
     """control horizon (control periods)"""
-    Q: float = 10.0
+    Q: float = TABLE.Q
     """1/m^2, weight of the tracking error"""
-    R: float = 0.01
+    R: float = TABLE.R
     """1/rad^2, weight of the moves; only R/Q changes the control law"""
 
     def __post_init__(self) -> None:

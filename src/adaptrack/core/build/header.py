@@ -57,7 +57,7 @@ def header(kernels: Iterable[Exported]) -> str:
 
 # -- what the sources say ---------------------------------------------------------------------------------------------
 @cache
-def _said(module: str) -> dict[str, tuple[str, dict[str, str]]]:
+def remarks(module: str) -> dict[str, tuple[str, dict[str, str]]]:
     """Of each ``NAME = record(...)`` and ``NAME = columns(...)`` of a file: what is said of it and of its fields."""
     source = inspect.getsource(import_module(module))
     comments = {
@@ -113,7 +113,7 @@ def _comment(text: str, indent: str = "") -> str:
 # -- what is written --------------------------------------------------------------------------------------------------
 def _enumerations(module: str) -> Iterator[str]:
     """The columns that a file names, as places in rows."""
-    for name, (said, fields) in _said(module).items():
+    for name, (said, fields) in remarks(module).items():
         places = getattr(import_module(module), name)
         if type(places).__name__ == "Columns":
             prefix = f"{_c_name(module, name)}_".upper()
@@ -144,7 +144,7 @@ def _collect(kind: Any, records: dict[Any, str]) -> None:
         _collect(each, records)
     module = import_module(kind.__module__)
     name = next((name for name, value in vars(module).items() if value is kind), kind.__name__)
-    said, fields = _said(kind.__module__).get(name, ("", {}))
+    said, fields = remarks(kind.__module__).get(name, ("", {}))
     lines = [f"    {_field(name, each)}{_after(fields, name)}\n" for name, each in kind.kinds.items()]
     records[kind] = f"{_comment(said)}{_struct(kind)} {{\n{''.join(lines)}}};\n"
 

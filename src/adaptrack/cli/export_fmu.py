@@ -1,0 +1,70 @@
+"""`adaptrack export fmu`: a controller and a car of the simulated world as Functional Mock-up Units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from adaptrack.cli import options, show
+from adaptrack.cli import road as roads
+from adaptrack.cli.export import ExportedController
+
+
+class Interface(StrEnum):
+    """Versions of the Functional Mock-up Interface."""
+
+    second = "2.0"
+    third = "3.0"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FMUOptions:
+    """Options of `adaptrack export fmu`."""
+
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where car.fmu and controller.fmu go.")]
+    which: ExportedController
+    road: Annotated[str, Option("--road", metavar="ROAD", help=f"That is followed: {roads.ROADS}")] = "country"
+    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
+    speed: Annotated[float | None, Option("--speed", metavar="V", help="Along it (m/s); by default planned.")] = None
+    fmi: Annotated[Interface, Option("--fmi", help="Version of the interface.")] = Interface.third
+    driver: Annotated[
+        bool, Option("--driver/--perfect-speed", hidden=True, help="Of the car: powertrain and driver, or exact speed.")
+    ] = False
+    as_json: options.Json = False
+
+
+@options.grouped
+def export_fmu(given: FMUOptions) -> None:
+    """A controller with its tracker, and a car of the simulated world, as two FMUs for co-simulation.
+
+    They need neither Python nor this package, and no compiler here.
+    """
+    from adaptrack.drive.world import Driver
+    from adaptrack.export.fmu import write_fmu
+    from adaptrack.export.units import car_unit, controller_unit
+    from adaptrack.scenario import RoadDrive
+    from adaptrack.scenario.profile import load_profile
+
+    car, plant = given.which.car.load()
+    world = load_profile(given.which.profile)
+    controller = given.which.make(car, world)
+    seeds = None if given.road_seed is None else [given.road_seed]
+    checked = roads.RoadOptions(speed=given.speed, road_seed=seeds).look(given.road, car, world)
+    route = RoadDrive(checked.road, checked.plan)
+    driver = Driver() if given.driver else None
+    units = (
+        controller_unit(controller, checked.road, checked.plan, speed_preview=driver and driver.preview),
+        car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
+    )
+    options.make_folder(given.out)
+    made = [write_fmu(each, given.out / f"{each.name}.fmu", given.fmi.value) for each in units]
+    if given.as_json:
+        show.say_json({"files": [str(each) for each in made], "fmi": given.fmi, "period": controller.period})
+        return
+    for unit, file in zip(units, made, strict=True):
+        size = file.stat().st_size
+        show.say(f"{file}: {unit.title}, FMI {given.fmi.value}, a step is {unit.period:g} s, {size:,} bytes")

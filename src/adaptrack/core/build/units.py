@@ -1,0 +1,15 @@
+"""The kernels that FMUs call, beside those of an exported controller."""
+
+UNITS = {
+    "Car": ("car_begin", "car_step"),
+    "Steering": ("steering_begin", "steering_step"),
+    "LawSteering": ("law_steering_begin", "law_steering_step"),
+}
+"""Of each unit of co-simulation (`core.units`) the kernels that begin and step, by the name of its record."""
+PLANTS = tuple(
+    f"{track}_{tyre}_{what}"
+    for track in ("single_track", "dual_track")
+    for tyre in ("linear", "magic", "curved")
+    for what in ("advance", "observe")
+)
+"""Members that a car has the address of."""

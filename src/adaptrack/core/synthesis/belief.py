@@ -1,0 +1,159 @@
+"""What a controller believes of its car's steering, from whom, and how far it may be wrong."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Row, exported, float64, inlined, int64, record, void
+from ..maths.exponential import hypot, log, power
+from .car import KnownWithin, Steering
+from .filter import Drifts
+
+GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED, WITH_DEAD_TIME = range(7)
+"""Who says a number: the caller; the car's file; the profile; nobody, so the slow end of published values; nobody, so
+it is learned from the middle of these; an earlier drive; nobody, so it is learned with the dead time."""
+Belief = record(
+    "Belief",
+    (
+        "lag", "dead_time",  # s, of the steering
+        "computation",  # s, from a measurement until its command is given
+        "rate",  # rad/s; inf: no limit
+        "limit",  # rad
+        "lag_source", "dead_time_source", "computation_source", "rate_source", "limit_source",  # `GIVEN`, ...
+    ),
+    whole=("lag_source", "dead_time_source", "computation_source", "rate_source", "limit_source"),
+)  # fmt: skip
+"""The steering as a controller believes it."""
+Uncertainty = record("Uncertainty", ("lag", "dead_time", "stiffness", "mass"))
+"""By how much it may be wrong to either side: s, s, a factor, a share of mass and yaw inertia."""
+Bounds = record("Bounds", ("move", "ahead", "angle"))
+"""rad: of the change of a command in a period, of the command ahead of the wheels, of the command; to either side."""
+
+MOST_STEERING_DELAY = 0.35
+"""s, lag and dead time together of a slow steering: with a control period of computation what opendbc lists for series
+cars, 0.1 to 0.4 s (`steerActuatorDelay`). It is believed where nobody says, because too short a delay loses the car and
+too long a one costs little."""
+LEAST_LAG = 0.05
+"""s, believed at least where only the dead time is known."""
+LEAST_STEERING_RATE = 0.4
+"""rad/s at the road wheels, the lowest of published rate limits (CommonRoad vehicle models, vehicle 2)."""
+MOVE, ANGLE = math.pi / 12, math.pi / 6
+"""rad, bounds of eqs. (13) and (14) in the paper's table."""
+QUANTILE, TOLERATED_DELAY, MOST_CAUTION, USUAL_RATE = 0.95, 0.018, 16.0, 0.5
+"""Of what a delay may be, the share that is not above what is believed; s, an error of the delay that doubles R; the
+largest factor on R for it; rad/s, steering rate."""
+WIDE, STIFFNESS_DRIFTS = 1.6, (3.0, 5.0)
+"""Factor of the stiffness; by which, at it, the drifts of the disturbances are divided and that of sliding multiplied:
+the best of 12 settings on 16 drives of each of six cars in `production`, known by mass and wheelbase alone."""
+MOST_DELAY, MOST_STIFFNESS, MOST_MASS = 1.0, 4.0, 0.9
+"""Largest uncertainties: s, of a delay; -, factor of the stiffness; -, share of the mass."""
+
+
+@inlined
+def _first(given, car, actuator):
+    """The first number that is said, and who says it."""
+    if not math.isnan(given):
+        return given, GIVEN
+    if not math.isnan(car):
+        return car, CAR_FILE
+    return actuator, ASSUMED if math.isnan(actuator) else PROFILE
+
+
+@exported(void(Row(Steering), Row(Steering), Row(Steering), float64, Row(Belief)))
+def believe_steering(given, car, actuator, computation, belief):
+    """Write what is believed of a steering: each number from the first that says it, the slow end where nobody does.
+
+    given: by the caller; car: by the car's file; actuator: by the profile; computation: s. What is said of lag or dead
+    time is taken off the other.
+    """
+    lag, belief.lag_source = _first(given.lag, car.lag, actuator.lag)
+    dead, belief.dead_time_source = _first(given.dead_time, car.dead_time, actuator.dead_time)
+    rate, belief.rate_source = _first(given.rate, car.rate, actuator.rate)
+    limit, belief.limit_source = _first(given.limit, car.limit, actuator.limit)
+    belief.lag, belief.dead_time = lag, dead
+    if belief.lag_source == ASSUMED:
+        belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead), LEAST_LAG)
+    if belief.dead_time_source == ASSUMED:
+        belief.dead_time = 0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0)
+    belief.rate = LEAST_STEERING_RATE if belief.rate_source == ASSUMED else rate
+    belief.limit = ANGLE if belief.limit_source == ASSUMED else limit
+    belief.computation, belief.computation_source = computation, PROFILE
+
+
+@inlined
+def nobody_says(source):
+    """Whether a number is assumed."""
+    return source in (ASSUMED, TO_LEARN)
+
+
+@inlined
+def is_cautious(belief):
+    """Whether lag or dead time is assumed."""
+    return nobody_says(belief.lag_source) or nobody_says(belief.dead_time_source)
+
+
+@inlined
+def _within(known, most):
+    return 0.0 if math.isnan(known) else min(known, most)
+
+
+@inlined
+def _largest(a, b):
+    """The larger of two factors, 1 where neither is said."""
+    return max(1.0 if math.isnan(a) else a, 1.0 if math.isnan(b) else b)
+
+
+@exported(void(Row(KnownWithin), Row(Belief), Row(Uncertainty)))
+def uncertainty_of_car(within, belief, unsure):
+    """Write what the car's file says; of lag and dead time only where the belief has them from there as well."""
+    unsure.lag = _within(within.steering_lag, MOST_DELAY) if belief.lag_source == CAR_FILE else 0.0
+    unsure.dead_time = _within(within.steering_dead_time, MOST_DELAY) if belief.dead_time_source == CAR_FILE else 0.0
+    unsure.stiffness = min(_largest(within.stiffness_front, within.stiffness_rear), MOST_STIFFNESS)
+    unsure.mass = min(_largest(within.mass, within.yaw_inertia) - 1.0, MOST_MASS)
+
+
+@exported(float64(Row(Uncertainty)))
+def caution_of(unsure):
+    """The factor on R for what may be wrong."""
+    delay = hypot(unsure.lag, unsure.dead_time) / TOLERATED_DELAY
+    return min(1.0 + delay * delay, MOST_CAUTION) * unsure.stiffness * (1.0 + unsure.mass)
+
+
+@exported(float64(float64))
+def late_by(half):
+    """What is added to a delay (s) that may be wrong by `half` (s), all values being equally likely."""
+    return (2.0 * QUANTILE - 1.0) * half
+
+
+@exported(void(Row(Uncertainty), int64, Row(Drifts)))
+def widen_drifts(unsure, measures_vy, drifts):
+    """Let a filter drift as far as the belief may be wrong; measures_vy: 1: the lateral velocity is measured.
+
+    A delay that is wrong puts the wheels elsewhere, by the steering rate times it. A stiffness that is wrong makes an
+    error with the axle's force, as sliding does. Disturbances that follow it quickly close a loop of their own, which
+    is unstable where nothing measures the lateral velocity: there they are followed more slowly, and the forces are
+    trusted less, by `STIFFNESS_DRIFTS` at a factor of `WIDE` and by less below it.
+    """
+    drifts.wheel_angle = hypot(drifts.wheel_angle, USUAL_RATE * (unsure.lag + unsure.dead_time))
+    if measures_vy > 0:
+        return
+    share = min(log(unsure.stiffness) / log(WIDE), 1.0)
+    slower, wilder = power(STIFFNESS_DRIFTS[0], share), power(STIFFNESS_DRIFTS[1], share)
+    drifts.side /= slower
+    drifts.turn /= slower
+    drifts.wind /= slower
+    drifts.sliding *= wilder
+
+
+@exported(void(Row(Belief), float64, Row(Bounds)))
+def bound_commands(belief, period, bounds):
+    """Write the limits on a command: on its change the rate times a period (s), on its size the limit.
+
+    The next command may be ahead of the wheels by the rate times lag and period: so far they follow within the rate.
+    Behind a delay that is assumed, thus probably too long, bounded moves lose the car: the change has then the bound of
+    the paper's table, as it has where there is no rate limit.
+    """
+    bounded = belief.rate < math.inf and not is_cautious(belief)
+    bounds.move = belief.rate * period if bounded else MOVE
+    bounds.ahead = belief.rate * (belief.lag + period) if bounded else 0.0
+    bounds.angle = belief.limit

@@ -1,0 +1,306 @@
+"""The parts of the MPC that knows, or learns, its car, and all of its numbers at once."""
+
+from __future__ import annotations
+
+import math
+
+from ..controllers.feed_forward import Turning, turning_of
+from ..controllers.mpc import Settings
+from ..estimators import kalman, learning
+from ..kernel import Place, Row, exported, float64, inlined, int64, int_vector, record, rows, several, size_of, vector
+from ..maths.exponential import hypot
+from ..models import path
+from ..models.contract import MEASURED
+from .belief import (
+    ASSUMED,
+    LEARNED,
+    MOST_DELAY,
+    MOST_MASS,
+    MOST_STIFFNESS,
+    TO_LEARN,
+    WITH_DEAD_TIME,
+    Belief,
+    Bounds,
+    Uncertainty,
+    believe_steering,
+    bound_commands,
+    caution_of,
+    is_cautious,
+    late_by,
+    uncertainty_of_car,
+    widen_drifts,
+)  # fmt: skip
+from .car import Car, KnownWithin, Steering
+from .filter import USUAL_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
+from .learner import (
+    UNKNOWN_CAR,
+    Learner,
+    Method,
+    Start,
+    begin_learner,
+    first_delay,
+    learner_memory,
+    learner_numbers,
+    learner_size,
+)  # fmt: skip
+from .tuning import CAUTION, World, tune_informed
+
+NEVER, UNLESS_SAID, ALWAYS = range(3)
+"""Whether a controller learns: not; where nobody says lag or dead time; always."""
+Order = record(
+    "Order",
+    (
+        ("car", Car), ("within", KnownWithin),
+        ("given", Steering), ("file", Steering), ("actuator", Steering),  # by the caller, the car's file, the profile
+        ("world", World),
+        ("unsure", Uncertainty), "unsure_given",  # 1: the caller says it
+        "learning",  # `NEVER`, ...
+        "alone",  # 1: no profile says the computation
+        "filter_given",  # 1: the filter is the caller's, 0: it is made of `world`
+        "longest_horizon", "most_moves",  # Np and Nc at most
+        ("method", Method), ("start", Start),
+    ),
+    whole=("unsure_given", "learning", "alone", "filter_given", "longest_horizon", "most_moves"),
+)  # fmt: skip
+"""What is known of a car and its loop, and what is wanted."""
+Parts = record(
+    "Parts",
+    (
+        ("belief", Belief),
+        ("unsure", Uncertainty),
+        ("bounds", Bounds),
+        ("filter", Filter),
+        ("learner", Learner),
+        ("tuning", (float64, 4)),
+        "lag", "dead_time",  # s, of the prediction model; the dead time with the computation
+        "learns",  # 1: the car is learned
+    ),
+    whole=("learns",),
+)  # fmt: skip
+"""What an informed MPC is made of; its filter is given where `Order.filter_given`, the usual one else."""
+Constants = record(
+    "Constants",
+    (
+        ("settings", rows(Settings)),  # (1,): those of the loop are written, of horizons and solver they stay
+        ("tuning", vector),  # (4,)
+        ("model", vector),  # (7,) `models.path.Parameters`
+        ("states", int_vector),  # (5,)
+        ("turning", vector),  # (7,) `controllers.feed_forward.Turning`
+        ("estimator", vector),  # `kalman.Numbers`
+        ("learner", vector),  # `learning.Numbers`; may be empty where nothing is learned
+        ("fresh", vector),  # the learner's memory before the first sample, likewise
+    ),
+)
+"""The numbers of an `Mpc`, in memory of the caller's."""
+
+_FILTER, _MODEL, _TURNING, _LEARNER = map(size_of, (kalman.Numbers, path.Parameters, Turning, learning.Numbers))
+MOST_TIME, LEAST = 10.0, 1e-300
+"""s, of a lag, a dead time or an age; the least that is more than nothing."""
+FINE, CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(7)
+"""What `informed_parts` and `informed_constants` answer."""
+MOST_HYPOTHESES = 12
+"""Of lag and of dead time, each."""
+UNEXPLAINED = (1.0, 0.6)
+"""m/s^2, rad/s^2: what wheels that nobody has aligned push and turn a car before their bias is learned. With the
+filter's own spread, .3 and .3, the first minute of 40 unknown cars costs 1.28 instead of 1.26 in `road`."""
+LARGEST_CORRECTION = 0.25
+"""m, lateral error that is corrected at once: a larger one would ask the tyres for more than they have."""
+
+
+@inlined
+def _know(order, parts):
+    """Of a controller that does not learn: what it believes is as late as it may be."""
+    belief, unsure, world = parts.belief, parts.unsure, order.world
+    if order.unsure_given == 0:
+        uncertainty_of_car(order.within, belief, unsure)
+    belief.lag += late_by(unsure.lag)
+    belief.dead_time += late_by(unsure.dead_time)
+    tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, parts.tuning)
+    if is_cautious(belief):
+        parts.tuning[3] *= CAUTION
+    if order.filter_given == 0:
+        widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, parts.filter.drifts)
+    bound_commands(belief, world.period, parts.bounds)
+    parts.lag, parts.dead_time = belief.lag, belief.computation + belief.dead_time
+
+
+@inlined
+def _doubt(order, parts):
+    """Let a delay that nobody says never be certain, and hold the computation where no profile says that."""
+    belief, unsure = parts.belief, parts.unsure
+    if order.alone > 0 and belief.dead_time_source == ASSUMED:
+        belief.computation, belief.computation_source = 0.0, WITH_DEAD_TIME
+    if belief.lag_source == ASSUMED and unsure.lag == 0.0:
+        unsure.lag = UNKNOWN_CAR.lag
+    if belief.dead_time_source == ASSUMED and unsure.dead_time == 0.0:
+        unsure.dead_time = UNKNOWN_CAR.dead_time
+
+
+@inlined
+def _begin(source, lag_or_dead_time_is_learned):
+    """Who says a delay with which a controller that learns begins."""
+    if lag_or_dead_time_is_learned:
+        return LEARNED
+    return TO_LEARN if source == ASSUMED else source
+
+
+@inlined
+def _learn(order, parts):
+    """Of a controller that learns its car."""
+    belief, own, sensing, world = parts.belief, parts.learner, parts.filter, order.world
+    _doubt(order, parts)
+    begin_learner(
+        order.method, order.start, order.car, order.within, belief, parts.unsure, order.unsure_given, sensing,
+        world.period, own,
+    )  # fmt: skip
+    lag, dead_time, sigma = first_delay(own, order.method, order.start)
+    if order.filter_given == 0:
+        sensing.spread_side, sensing.spread_turn = UNEXPLAINED
+    # rad/s, as the kernel has it
+    elsewhere = order.method.wandering * sigma / order.method.modest
+    sensing.drifts.wheel_angle = hypot(USUAL_DRIFTS.wheel_angle, elsewhere)
+    sensing.longest = own.longest
+    tune_informed(world, 1.0, order.longest_horizon, order.most_moves, parts.tuning)
+    bound_commands(belief, world.period, parts.bounds)
+    known_before = not math.isnan(order.start.lag)
+    belief.lag, belief.dead_time = lag, dead_time
+    belief.lag_source = _begin(belief.lag_source, known_before)
+    belief.dead_time_source = _begin(belief.dead_time_source, known_before)
+    parts.lag, parts.dead_time = lag, dead_time + belief.computation
+
+
+@inlined
+def _positive(x):
+    return 0.0 < x < math.inf
+
+
+@inlined
+def has_body(car):
+    """Whether mass, inertia, axles and stiffness are those of a car."""
+    shape = _positive(car.mass) and _positive(car.yaw_inertia) and _positive(car.lf) and _positive(car.lr)
+    return shape and _positive(car.stiffness_front) and _positive(car.stiffness_rear)
+
+
+@inlined
+def _said_within(x, least, most):
+    """Whether a number lies within a range, if it is said."""
+    return math.isnan(x) or least <= x <= most
+
+
+@inlined
+def _can_be(steering):
+    """Whether a steering is one of a car; of rate and limit zero is none."""
+    delays = _said_within(steering.lag, 0.0, MOST_TIME) and _said_within(steering.dead_time, 0.0, MOST_TIME)
+    moves = _said_within(steering.rate, LEAST, math.inf) and _said_within(steering.limit, LEAST, 0.5 * math.pi)
+    return delays and moves
+
+
+@inlined
+def _wrong(order):
+    """`FINE`, or what of an order no controller can be made of."""
+    car, world, unsure, method = order.car, order.world, order.unsure, order.method
+    if not (
+        has_body(car)
+        and car.frontal_area >= 0.0
+        and car.side_force_slope >= 0.0
+        and abs(car.yaw_moment_slope) < math.inf
+    ):
+        return CAR_WRONG
+    times = _positive(world.period) and 0.0 <= world.computation <= MOST_TIME and 0.0 <= world.oldest <= MOST_TIME
+    seen = world.noise_vy >= 0.0 and world.noise_yaw >= 0.0 and world.noise_yaw_rate >= 0.0
+    seen = seen and 0.0 <= world.noise_y < math.inf and world.noise_wheel_angle >= 0.0
+    seen = seen and world.noise_lateral_acceleration >= 0.0
+    off = 0.0 <= world.bias_yaw_rate < math.inf and 0.0 <= world.bias_wheel_angle < math.inf
+    if not (times and seen and off and 0.0 <= world.move_weight < math.inf):
+        return LOOP_WRONG
+    if not (_can_be(order.given) and _can_be(order.file) and _can_be(order.actuator)):
+        return STEERING_WRONG
+    if order.unsure_given > 0 and not (
+        0.0 <= unsure.lag <= MOST_DELAY and 0.0 <= unsure.dead_time <= MOST_DELAY
+        and 1.0 <= unsure.stiffness <= MOST_STIFFNESS and 0.0 <= unsure.mass <= MOST_MASS
+    ):  # fmt: skip
+        return UNCERTAINTY_WRONG
+    if not (1.0 <= method.lags <= MOST_HYPOTHESES and 1.0 <= method.dead_times <= MOST_HYPOTHESES):
+        return METHOD_WRONG
+    return FINE
+
+
+@exported(int64(Row(Order), Row(Parts)))
+def informed_parts(order, parts):
+    """Write what an informed MPC is made of; parts.filter is that of `filter.usual_filter`, or the caller's.
+
+    Answers `FINE`, or what of the order is wrong: then nothing is written.
+    """
+    wrong = _wrong(order)
+    if wrong != FINE:
+        return wrong
+    parts.unsure.lag, parts.unsure.dead_time = order.unsure.lag, order.unsure.dead_time
+    parts.unsure.stiffness, parts.unsure.mass = order.unsure.stiffness, order.unsure.mass
+    believe_steering(order.given, order.file, order.actuator, order.world.computation, parts.belief)
+    if order.filter_given == 0:
+        sensor_noise(order.world, parts.filter.noise)
+        parts.filter.oldest = order.world.oldest
+    unsaid = parts.belief.lag_source == ASSUMED or parts.belief.dead_time_source == ASSUMED
+    parts.learns = 1 if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unsaid) else 0
+    if parts.learns > 0:
+        _learn(order, parts)
+    else:
+        _know(order, parts)
+    return FINE
+
+
+@exported(several(int64, int64, int64)(Row(Order), Row(Parts)))
+def informed_sizes(order, parts):
+    """States of the model, numbers that the filter remembers, and those that the learner remembers."""
+    longest, late_periods = filter_periods(parts.filter, order.world.period, parts.dead_time)
+    learned = learner_size(parts.learner) if parts.learns > 0 else 0
+    return path.STATES if parts.lag > 0.0 else path.STATES - 1, filter_size(longest, late_periods), learned
+
+
+@inlined
+def _write_settings(order, parts, s):
+    """What of the settings follows from the loop."""
+    bounds, world = parts.bounds, order.world
+    s.period, s.preview, s.delay = world.period, world.preview, parts.dead_time / world.period
+    s.move_min, s.move_max, s.ahead = -bounds.move, bounds.move, bounds.ahead
+    s.angle_min, s.angle_max, s.error_max = -bounds.angle, bounds.angle, LARGEST_CORRECTION
+    s.informed, s.learns = 1, parts.learns
+
+
+@inlined
+def _write_states(lag, states):
+    """Places of the states among what is measured."""
+    states[0], states[1], states[2] = MEASURED.vy, MEASURED.yaw, MEASURED.yaw_rate
+    if lag > 0.0:
+        states[3] = MEASURED.wheel_angle
+    states[states.size - 1] = MEASURED.y
+
+
+@exported(int64(Row(Order), Row(Parts), Place(Constants)))
+def informed_constants(order, parts, constants):
+    """Write the numbers of an informed MPC of these parts; `FINE`, or `MEMORY_TOO_SMALL`: then nothing is written."""
+    states, _, learned = informed_sizes(order, parts)
+    small = constants.tuning.size < 4 or constants.states.size != states or constants.estimator.size < _FILTER
+    small = small or constants.model.size < _MODEL or constants.turning.size < _TURNING or constants.settings.size < 1
+    if parts.learns > 0:
+        small = small or constants.learner.size < _LEARNER or constants.fresh.size < learned
+    if small:
+        return MEMORY_TOO_SMALL
+    period, lag, dead_time, filtering = order.world.period, parts.lag, parts.dead_time, parts.filter
+    _write_settings(order, parts, constants.settings[0])
+    _write_states(lag, constants.states)
+    for i in range(4):
+        constants.tuning[i] = parts.tuning[i]
+    if parts.learns > 0:
+        filter_numbers(filtering, parts.learner.car, period, lag, dead_time, constants.estimator)
+        learner_numbers(parts.learner, order.method, filtering, constants.learner)
+        learner_memory(parts.learner, order.method, order.start, filtering, constants.fresh)
+    else:
+        filter_numbers(filtering, order.car, period, lag, dead_time, constants.estimator)
+    c, m = kalman.parameters_of(constants.estimator, 0).model, path.parameters_of(constants.model, 0)
+    m.mass, m.yaw_inertia, m.lf, m.lr = c.mass, c.yaw_inertia, c.lf, c.lr
+    m.stiffness_front, m.stiffness_rear, m.lag = c.stiffness_front, c.stiffness_rear, c.lag
+    path.write_turning(constants.model, constants.turning)
+    t = turning_of(constants.turning, 0)
+    t.friction, t.shape_factor = filtering.friction, filtering.shape_factor
+    return FINE

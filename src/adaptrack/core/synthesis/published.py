@@ -1,0 +1,40 @@
+"""The numbers of the paper's MPC of a car."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Place, Row, exported, float64, int64
+from ..models import single_track
+from ..models.contract import MEASURED
+from .belief import ANGLE, MOVE
+from .car import Car
+from .informed import CAR_WRONG, FINE, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, has_body
+from .tuning import TABLE
+
+_MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.STATE)
+
+
+@exported(int64(Row(Car), float64, Place(Constants)))
+def published_constants(car, period, constants):
+    """Write tuning and limits of the paper's table, and its model of a car; period: s.
+
+    Of the settings only those of the loop; estimator, learner and turning are not used. `FINE`, or what is wrong: then
+    nothing is written.
+    """
+    tuning, model, states = constants.tuning, constants.model, constants.states
+    if not has_body(car):
+        return CAR_WRONG
+    if not 0.0 < period < math.inf:
+        return LOOP_WRONG
+    if constants.settings.size < 1 or tuning.size < len(TABLE) or model.size < _MODEL or states.size != _STATES:
+        return MEMORY_TOO_SMALL
+    s = constants.settings[0]
+    s.period, s.delay, s.ahead, s.error_max = period, 0.0, 0.0, math.inf
+    s.move_min, s.move_max, s.angle_min, s.angle_max = -MOVE, MOVE, -ANGLE, ANGLE
+    s.informed, s.learns = 0, 0
+    tuning[0], tuning[1], tuning[2], tuning[3] = TABLE
+    model[0], model[1], model[2], model[3] = car.mass, car.yaw_inertia, car.lf, car.lr
+    model[4], model[5] = car.stiffness_front, car.stiffness_rear
+    states[0], states[1], states[2], states[3] = MEASURED.vy, MEASURED.yaw, MEASURED.yaw_rate, MEASURED.y
+    return FINE

@@ -1,0 +1,194 @@
+"""A car of the simulated world as a unit of co-simulation: `period` around a controller and a plan that are inputs.
+
+A step is what `drive.simulate` does between two steps of a controller, to the bit: the command is sent, the car moves
+on by a period, it is sensed. Plan and environment are a window of the signals that begins at the present instant.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..loop import NOT_FINITE, RUNNING, SIGNAL
+from ..maths.bits import whole
+from ..maths.trigonometric import cos, sin
+from ..models.contract import MEASURED
+from ..period import Loop, Span, after_control, before_control, begin_slot, move
+from ..plants.contract import ENVIRONMENT, MOTION, OBSERVED, STATE, observe, state_at
+from ..road import line_of, point_at
+from .contract import FAILED, NO_DELAY, OK, outside
+
+CONSTANTS = (
+    "time",  # s, of the present instant
+    "period",  # s, of a step
+    "speed_preview",  # s, how far ahead speed_ahead is planned
+)
+PARAMETERS = (
+    "seed",  # of all that the sensors draw: the same number gives the same drive
+    "parallel_exchange",  # true: the master exchanges in parallel, which stands for a period of the car's own delay
+    "start_x", "start_y",  # m, m: position in the world at the start
+    "start_yaw",  # rad, at the start, from the world's x axis, positive to the left
+    "start_speed",  # m/s, along the car's axis at the start, in equilibrium
+    "start_station",  # m, along the road, about which the car's foot is looked for at the start
+)  # fmt: skip
+INPUTS = (
+    "command",  # rad, angle of the road wheels that is asked for, positive to the left
+    "speed",  # m/s, planned for this instant
+    "speed_ahead",  # m/s, planned for the time of speed_preview from now
+    "on_plan",  # true: a car that is early or late against plan_station drives a little slower or faster
+    "plan_station",  # m, along the road, where the plan is at this instant
+    "friction_front_left", "friction_front_right",  # -, -: coefficient under the wheel
+    "friction_rear_left", "friction_rear_right",  # -, -: coefficient under the wheel
+    "wind_x", "wind_y",  # m/s, m/s: velocity of the air in the world
+    "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
+)  # fmt: skip
+OUTPUTS = (
+    "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
+    "measured_yaw",  # rad, measured yaw angle, measured_pose_age ago, positive to the left; NaN: missing
+    "measured_offset",  # m, measured distance from the road, measured_pose_age ago, positive to the left; NaN: missing
+    "measured_heading_error",  # rad, measured_yaw less the road's heading; NaN: missing
+    "measured_pose_age",  # s, how old measured position and yaw are
+    "measured_speed",  # m/s, measured speed along the car's axis, now
+    "measured_vy",  # m/s, measured lateral velocity, measured_motion_age ago, positive to the left; NaN: missing
+    "measured_yaw_rate",  # rad/s, measured yaw rate, measured_motion_age ago, positive to the left; NaN: missing
+    "measured_wheel_angle",  # rad, measured angle of the road wheels, measured_motion_age ago; NaN: missing
+    "measured_lateral_acceleration",  # m/s^2, of an accelerometer, measured_motion_age ago; NaN: missing
+    "measured_motion_age",  # s, how old vy, yaw rate, wheel angle and lateral acceleration are as measured
+    "x", "y",  # m, m: true position of the centre of mass in the world
+    "yaw",  # rad, true yaw angle, from the world's x axis, positive to the left
+    "vx", "vy",  # m/s, m/s: true velocity along the car's axes, x forward, y to the left
+    "yaw_rate",  # rad/s, true yaw rate, positive to the left
+    "wheel_angle",  # rad, true angle of the road wheels, positive to the left
+    "lateral_acceleration",  # m/s^2, true lateral acceleration, positive to the left
+    "station",  # m, along the road, of the car's foot on it, over all laps; without a road x
+    "offset",  # m, true distance from the road, positive to the left; without a road y
+    "heading_error",  # rad, true yaw angle less the road's heading
+    "ended",  # 0, or 2 once the car has spun
+)  # fmt: skip
+VALUE = columns(*CONSTANTS, *PARAMETERS, *INPUTS, *OUTPUTS)
+"""The values of a car."""
+_PARAMETER, _INPUT = VALUE.seed, VALUE.command
+_OUTPUT = _INPUT + len(INPUTS)
+
+Car = record(
+    "Car",
+    (
+        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("past", vector),
+        ("loop", Loop),
+    ),
+)  # fmt: skip
+"""A unit of co-simulation (see `contract`), its values by `VALUE`; where the car was at the last instants (m along its
+road), the latest first, as many as late sensors look back; the loop: one slot, one scenario, whose signals are as many
+samples as the driver looks ahead."""
+
+_observed = local(len(OBSERVED))
+
+
+@inlined
+def _span():
+    return Span(2**62, 1, 0, 0.0)
+
+
+@inlined
+def _open_window(car):
+    """Write what is planned and what surrounds the car to the signals from now on."""
+    values, signals, own = car.values, car.loop.given.signals, car.loop.memory.own[0]
+    signals[0, SIGNAL.speed, :] = values[VALUE.speed_ahead]
+    signals[0, SIGNAL.speed, 0] = values[VALUE.speed]
+    signals[0, SIGNAL.station, :] = math.inf  # the plan, whose place is the first sample, is not looked for
+    signals[0, SIGNAL.station, 0] = values[VALUE.plan_station] if values[VALUE.on_plan] > 0.5 else own.station
+    for j in range(ENVIRONMENT):
+        signals[0, SIGNAL.friction_front_left + j, 0] = values[VALUE.friction_front_left + j]
+
+
+@inlined
+def _measured_position(car):
+    """Where the car was along its road (m) at the time of the measured pose."""
+    loop, past = car.loop, car.past
+    own = loop.memory.own[0]
+    here = own.station if own.located > 0 else loop.vehicles.block[state_at(STATE.x, 0)]
+    if past.size == 0:
+        return here
+    for i in range(past.size - 1, 0, -1):
+        past[i] = past[i - 1] if own.instant > 0 else here
+    past[0] = here
+    instants = loop.measured[MEASURED.pose_age] / loop.settings.period
+    first = min(whole(instants), past.size - 2)
+    return past[first] + (instants - first) * (past[first + 1] - past[first])
+
+
+@inlined
+def _sense(car):
+    """Write the outputs of the present instant; the status."""
+    values, loop = car.values, car.loop
+    own, block, measured = loop.memory.own[0], loop.vehicles.block, loop.measured
+    before_control(0, _span(), loop)
+    if own.ended == NOT_FINITE:
+        return FAILED
+    if own.ended != RUNNING:
+        values[VALUE.ended] = float(own.ended)
+    offset, error, station = measured[MEASURED.y], measured[MEASURED.yaw], _measured_position(car)
+    x, y, heading = station, 0.0, 0.0
+    if own.located > 0:
+        x, y, heading, _ = point_at(station, line_of(loop.given.roads.of[0], loop.given.roads))
+    values[VALUE.measured_x], values[VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
+    values[VALUE.measured_yaw] = heading + error
+    values[VALUE.measured_offset], values[VALUE.measured_heading_error] = offset, error
+    values[VALUE.measured_pose_age] = measured[MEASURED.pose_age]
+    values[VALUE.measured_speed] = own.speed
+    values[VALUE.measured_vy] = measured[MEASURED.vy]
+    values[VALUE.measured_yaw_rate] = measured[MEASURED.yaw_rate]
+    values[VALUE.measured_wheel_angle] = measured[MEASURED.wheel_angle]
+    values[VALUE.measured_lateral_acceleration] = measured[MEASURED.lateral_acceleration]
+    values[VALUE.measured_motion_age] = measured[MEASURED.motion_age]
+    for j in range(MOTION):
+        values[VALUE.x + j] = block[state_at(j, 0)]
+    observed = _observed()
+    observe(0, loop.vehicles, observed)
+    values[VALUE.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
+    values[VALUE.wheel_angle] = observed[OBSERVED.wheel_angle]
+    values[VALUE.station] = own.station if own.located > 0 else values[VALUE.x]
+    values[VALUE.offset], values[VALUE.heading_error] = own.offset, own.heading_error
+    values[VALUE.time] = float(own.instant) * loop.settings.period
+    return OK
+
+
+@exported(int64(Place(Car)))
+def car_begin(car):
+    """Read the parameters, put the car at its start and sense it; the status."""
+    values, loop = car.values, car.loop
+    wrong = outside(_PARAMETER, _OUTPUT, values, car.least, car.most)
+    if wrong != OK:
+        return wrong
+    if values[VALUE.parallel_exchange] > 0.5 and loop.settings.dead_whole == 0:
+        return NO_DELAY
+    loop.given.seeds[0] = whole(values[VALUE.seed])
+    start = loop.vehicles.start
+    start[0, STATE.x], start[0, STATE.y] = values[VALUE.start_x], values[VALUE.start_y]
+    start[0, STATE.yaw], start[0, STATE.vx] = values[VALUE.start_yaw], values[VALUE.start_speed]
+    begin_slot(0, loop)
+    _open_window(car)
+    loop.given.signals[0, SIGNAL.station, 0] = values[VALUE.start_station]
+    values[VALUE.ended] = float(RUNNING)
+    return _sense(car)
+
+
+@exported(int64(Place(Car)))
+def car_step(car):
+    """Send the command, move on by a period and sense; the status.
+
+    With a parallel exchange the command is that of the instant before. It takes the place that it would have in the
+    car's own delay, of which a period is left out.
+    """
+    values, loop = car.values, car.loop
+    wrong = outside(_INPUT, _OUTPUT, values, car.least, car.most)
+    if wrong != OK:
+        return wrong
+    command = values[VALUE.command]
+    if values[VALUE.parallel_exchange] > 0.5:
+        loop.memory.sent[0, 0] = command
+    _open_window(car)
+    after_control(0, command, command - loop.memory.own[0].command, _span(), loop)
+    move(1, loop)
+    loop.memory.own[0].sample = 0
+    return _sense(car)

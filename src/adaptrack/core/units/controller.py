@@ -1,0 +1,174 @@
+"""A controller with its tracker as a unit of co-simulation: a sample in, a command and what it is worth out.
+
+A step is a call of the tracker at the present instant (`core.tracker.step`), to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..maths.bits import whole
+from ..road import CLOSED
+from ..speed_plan import planned_speeds
+from ..tracker.give import tracker_engage
+from ..tracker.records import SAMPLE, TRACKED, LawTracking, Tracking
+from ..tracker.step import tracker_step, tracker_step_law
+from .contract import OK, outside
+
+CONSTANTS = (
+    "time",  # s, of the present instant
+    "period",  # s, of a step
+    "expected_delay",  # s, from a sample until its command acts, as expected; an exchange in parallel is a period of it
+)
+PARAMETERS = (
+    "start_wheel_angle",  # rad, of the road wheels at the start, positive to the left: the first command is near it
+    "speed_preview",  # s, how far ahead planned_speed_ahead is planned; that of the car
+)
+INPUTS = (
+    "x", "y",  # m, m: position of the centre of mass in the world of the path
+    "yaw",  # rad, yaw angle, from the world's x axis, positive to the left, wrapped or not
+    "speed",  # m/s, along the car's axis, negative backwards
+    "yaw_rate",  # rad/s, positive to the left
+    "vy",  # m/s, lateral velocity, positive to the left
+    "lateral_acceleration",  # m/s^2, positive to the left, without the pull of a bank
+    "wheel_angle",  # rad, of the road wheels, positive to the left
+    "age",  # s, how old the sample is
+    "friction",  # -, coefficient of tyre and road, for a schedule
+    "wind",  # m/s, velocity of the air to the left, for a schedule
+    "pose_known",  # true: position and yaw angle are measured at this instant; a NaN is not known either
+    "yaw_rate_known",  # true: yaw_rate is measured
+    "vy_known",  # true: vy is measured
+    "lateral_acceleration_known",  # true: lateral_acceleration is measured
+    "wheel_angle_known",  # true: wheel_angle is measured
+    "friction_known",  # true: friction is known
+    "wind_known",  # true: wind is known
+)  # fmt: skip
+OUTPUTS = (
+    "command",  # rad, angle of the road wheels to ask for, positive to the left
+    "status",  # 0 ok, 1 estimated, 2 held, 3 standing, 4 reverse, 5 off path, 6 end of path, 7 sliding
+    "offset",  # m, of the car from the path, positive to the left; NaN without a position to go by
+    "heading_error",  # rad, the car's heading less the path's; NaN without a position to go by
+    "station",  # m, arc length of the car's foot on the path, over all laps; NaN without a position to go by
+    "belief_state",  # of what is learned: 0 learning, 1 settled, 2 at the end of a range, 3 contradictory; -1 nothing
+    "belief_at_bound",  # which learned quantity is at the end of its range, 0 none, -1 nothing is learned
+    "suspect",  # sum of 1, 2, 4, ...: inputs that contradict each other
+    "planned_speed",  # m/s, planned where the car is; without a plan the present speed
+    "planned_speed_ahead",  # m/s, planned where the car will be after speed_preview
+)  # fmt: skip
+VALUE = columns(*CONSTANTS, *PARAMETERS, *INPUTS, *OUTPUTS)
+"""The values of a controller."""
+_PARAMETER, _INPUT = VALUE.start_wheel_angle, VALUE.x
+
+_places = local(2)
+_VALUES = (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector))
+Steering = record("Steering", (*_VALUES, ("tracking", Tracking)))
+"""A unit of co-simulation (see `contract`) around an MPC, its values by `VALUE`."""
+LawSteering = record("LawSteering", (*_VALUES, ("tracking", LawTracking)))
+"""The same around a control law."""
+
+
+@inlined
+def _known(value, flag):
+    return value if flag > 0.5 else math.nan
+
+
+@inlined
+def _give(values, sample):
+    """Write the inputs as a call of the tracker."""
+    pose = values[VALUE.pose_known]
+    now = values[VALUE.time]
+    age = values[VALUE.age]
+    sample[SAMPLE.t], sample[SAMPLE.now] = now - (age if math.isfinite(age) else 0.0), now
+    sample[SAMPLE.x], sample[SAMPLE.y] = _known(values[VALUE.x], pose), _known(values[VALUE.y], pose)
+    sample[SAMPLE.yaw], sample[SAMPLE.speed] = _known(values[VALUE.yaw], pose), values[VALUE.speed]
+    sample[SAMPLE.yaw_rate] = _known(values[VALUE.yaw_rate], values[VALUE.yaw_rate_known])
+    sample[SAMPLE.vy] = _known(values[VALUE.vy], values[VALUE.vy_known])
+    sample[SAMPLE.lateral_acceleration] = _known(
+        values[VALUE.lateral_acceleration], values[VALUE.lateral_acceleration_known]
+    )
+    sample[SAMPLE.wheel_angle] = _known(values[VALUE.wheel_angle], values[VALUE.wheel_angle_known])
+    sample[SAMPLE.friction] = _known(values[VALUE.friction], values[VALUE.friction_known])
+    sample[SAMPLE.wind] = _known(values[VALUE.wind], values[VALUE.wind_known])
+
+
+@inlined
+def _tell(tracker, values):
+    """Write the outputs."""
+    tracked = tracker.tracked
+    values[VALUE.command], values[VALUE.status] = tracked[TRACKED.command], tracked[TRACKED.status]
+    values[VALUE.offset], values[VALUE.heading_error] = tracked[TRACKED.offset], tracked[TRACKED.heading_error]
+    values[VALUE.station], values[VALUE.suspect] = tracked[TRACKED.station], tracked[TRACKED.suspect]
+    values[VALUE.belief_state] = tracked[TRACKED.belief_state]
+    values[VALUE.belief_at_bound] = tracked[TRACKED.belief_at_bound]
+    _tell_plan(tracker, values)
+
+
+@inlined
+def _tell_plan(tracker, values):
+    """Write the planned speeds; where the car is not known they stay."""
+    plan, places = tracker.plan, _places()
+    speed = max(values[VALUE.speed], 0.0)
+    places[0] = places[1] = speed
+    if plan.s.size > 1:
+        lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0
+        places[0] = values[VALUE.station]
+        places[1] = places[0] + speed * values[VALUE.speed_preview]
+        planned_speeds(lap, plan.s, plan.speed, places)
+    for i in range(2):
+        if math.isfinite(places[i]):
+            values[VALUE.planned_speed + i] = places[i]
+
+
+@inlined
+def _begin(unit):
+    """Read the parameters and engage; the status."""
+    values, tracker = unit.values, unit.tracking.tracker
+    wrong = outside(_PARAMETER, _INPUT, values, unit.least, unit.most)
+    if wrong != OK:
+        return wrong
+    tracker_engage(values[VALUE.start_wheel_angle], math.nan, tracker)
+    values[VALUE.time] = 0.0
+    _tell(tracker, values)
+    return OK
+
+
+@inlined
+def _go_on(values):
+    """Time of the next instant."""
+    period = values[VALUE.period]
+    values[VALUE.time] = (whole(values[VALUE.time] / period + 0.5) + 1) * period
+
+
+@exported(int64(Place(Steering)))
+def steering_begin(unit):
+    """Begin anew; the status."""
+    return _begin(unit)
+
+
+@exported(int64(Place(LawSteering)))
+def law_steering_begin(unit):
+    """`steering_begin`, with a control law."""
+    return _begin(unit)
+
+
+@exported(int64(Place(Steering)))
+def steering_step(unit):
+    """Call the tracker with the inputs, and go on by a period; the status."""
+    values, tracker = unit.values, unit.tracking.tracker
+    _give(values, tracker.sample)
+    tracker_step(unit.tracking)
+    _tell(tracker, values)
+    _go_on(values)
+    return OK
+
+
+@exported(int64(Place(LawSteering)))
+def law_steering_step(unit):
+    """`steering_step`, with a control law."""
+    values, tracker = unit.values, unit.tracking.tracker
+    _give(values, tracker.sample)
+    tracker_step_law(unit.tracking)
+    _tell(tracker, values)
+    _go_on(values)
+    return OK

@@ -1,0 +1,256 @@
+"""A car of the simulated world, or a controller, as a Functional Mock-up Unit (FMI 2.0 and 3.0, co-simulation).
+
+What lies in it: the description, a shared library for each system, the constants of the unit, its C sources. The
+library was built with the package; what tells one FMU from another are its description and its constants.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from xml.etree import ElementTree as ET
+
+from adaptrack.base.checked import Bound, Positive, checked
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import write_atomically
+from adaptrack.cars.plant import Plant
+from adaptrack.control.controllers import Controller
+from adaptrack.core import library
+from adaptrack.drive.world import Driver
+from adaptrack.export import fmu_build
+from adaptrack.export.block import Block, pack
+from adaptrack.export.units import (
+    CONSTANT,
+    INPUT,
+    PARAMETER,
+    REAL,
+    TRUTH,
+    WHOLE,
+    Unit,
+    Value,
+    car_unit,
+    controller_unit,
+)
+from adaptrack.scenario import RoadDrive, Scenario
+from adaptrack.scenario.profile import Profile
+
+VERSIONS = ("2.0", "3.0")
+_BASE_UNITS = {
+    "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1}, "m/s^2": {"m": 1, "s": -2},
+    "rad/s": {"rad": 1, "s": -1}, "1/m": {"m": -1},
+}  # fmt: skip
+_TYPES = {"2.0": {REAL: "Real", WHOLE: "Integer", TRUTH: "Boolean"},
+          "3.0": {REAL: "Float64", WHOLE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
+_LARGEST_INTEGER = 2.0**31 - 1
+_DATE = (1980, 1, 1, 0, 0, 0)
+"""Of the files in an archive, so that the same unit gives the same bytes."""
+
+
+@checked
+def export_fmu(
+    part: Plant | Controller,
+    path: str | os.PathLike[str],
+    route: Scenario | RoadDrive | None = None,
+    *,
+    version: Literal["2.0", "3.0"] = "3.0",
+    profile: str | Profile = "road",
+    driver: Driver | None = None,
+    period: Positive | None = None,
+    furthest: Annotated[Bound, "m"] = 10.0,
+) -> Path:
+    """Write a car of the simulated world, or a controller with its tracker, as an FMU; its path.
+
+    part: a plant, or a controller that is compiled ahead of time; route: of a car where it starts, and the road from
+    which its offset counts; of a controller the road that it follows, with its plan; version: of the interface;
+    profile, driver, period: of a car, as for `simulate`; period: by default the profile's; furthest: of a controller,
+    m, from the path, beyond which a status says so.
+
+    Raises
+    ------
+    InvalidInput
+        When it cannot be exported, or there are no binaries of these kernels.
+    StorageError
+        When the file cannot be written.
+    """
+    if isinstance(part, Plant):
+        return write_fmu(car_unit(part, route, profile=profile, driver=driver, period=period), path, version)
+    if not isinstance(route, RoadDrive):
+        raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
+    return write_fmu(controller_unit(part, route.road, route.plan, furthest=furthest), path, version)
+
+
+@checked
+def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", "3.0"] = "3.0") -> Path:
+    """Write a unit as an FMU; its path.
+
+    Raises
+    ------
+    InvalidInput
+        When the unit holds a function that is none of the package's, or there are no binaries of these kernels.
+    StorageError
+        When the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".fmu":
+        raise InvalidInput(f"{path}: must end in .fmu.")
+    block = constants(unit)
+    token = f"{{{zlib.crc32(block.content):08x}}}"
+    name = f"adaptrack_{unit.name}"
+    files = {
+        "modelDescription.xml": description(unit, token, version),
+        "resources/constants.bin": block.content,
+        **dict(_binaries(name, version)),
+        **{f"sources/{each.name}": each.read_bytes() for each in fmu_build.SOURCES},
+        "sources/units.c": fmu_build.units_header().encode(),
+        "documentation/index.html": _page(unit).encode(),
+        "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
+    }
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        for place, content in files.items():
+            entry = zipfile.ZipInfo(place, _DATE)
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o755 << 16
+            archive.writestr(entry, content)
+    write_atomically(path, made.getvalue())
+    return path
+
+
+def constants(unit: Unit) -> Block:
+    """The record of a unit as bytes.
+
+    Raises
+    ------
+    InvalidInput
+        When it holds a function that is none of the package's.
+    """
+    block = pack(unit.record, type(unit.record).__name__, unit.roles)
+    missing = [each for each in block.functions if each not in fmu_build.MEMBERS]
+    if missing:
+        raise InvalidInput(
+            f"export fmu: {', '.join(missing)}: not among the kernels of an FMU; a plant is single-track or dual-track."
+        )
+    return block
+
+
+def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
+    """Places and contents of the shared libraries."""
+    remedy = f"run: python -m {fmu_build.__name__}"
+    try:
+        built: dict[str, Any] = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise InvalidInput(f"export fmu: there are no binaries for FMUs in this installation; {remedy}") from None
+    if built["kernels"] != library.kernels_hash() or built["sources"] != fmu_build.sources_hash():
+        raise InvalidInput(f"export fmu: sources have been edited since the binaries for FMUs were built; {remedy}")
+    for system, entry in built["binaries"].items():
+        own = fmu_build.SYSTEMS[system]
+        content = (fmu_build.BUILT / f"fmu-{system}.{own.ending}").read_bytes()
+        if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+            raise InvalidInput(f"export fmu: fmu-{system}.{own.ending} is damaged; {remedy}")
+        yield f"binaries/{own.folders[VERSIONS.index(version)]}/{name}.{own.ending}", content
+
+
+# -- the description --------------------------------------------------------------------------------------------------
+def description(unit: Unit, token: str, version: str) -> bytes:
+    """``modelDescription.xml``, after the schema of a version."""
+    from adaptrack import __version__
+
+    second = version == "2.0"
+    known_by = "guid" if second else "instantiationToken"
+    root = ET.Element("fmiModelDescription", {
+        "fmiVersion": version, "modelName": f"adaptrack_{unit.name}", known_by: token, "description": unit.title,
+        "generationTool": f"adaptrack {__version__}", "variableNamingConvention": "flat",
+    })  # fmt: skip
+    states = "canGetAndSetFMUstate" if second else "canGetAndSetFMUState"
+    serialised = "canSerializeFMUstate" if second else "canSerializeFMUState"
+    found = {"modelIdentifier": f"adaptrack_{unit.name}", "canHandleVariableCommunicationStepSize": "false",
+             states: "true", serialised: "true"}  # fmt: skip
+    if not second:
+        found["fixedInternalStepSize"] = repr(unit.period)
+    ET.SubElement(root, "CoSimulation", found)
+    _units(ET.SubElement(root, "UnitDefinitions"), unit)
+    ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", {"name": "logStatusError"})
+    ET.SubElement(root, "DefaultExperiment", {"startTime": "0.0", "stopTime": "10.0", "stepSize": repr(unit.period)})
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, value in enumerate(unit.values):
+        _variable(variables, reference, value, version)
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [i for i, each in enumerate(unit.values) if each.role == 0]
+    if second:
+        for kind, attributes in (("Outputs", {"dependencies": ""}), ("InitialUnknowns", {})):
+            listed = ET.SubElement(structure, kind)
+            for i in outputs:
+                ET.SubElement(listed, "Unknown", {"index": str(i + 1), **attributes})
+    else:
+        for kind, attributes in (("Output", {"dependencies": ""}), ("InitialUnknown", {})):
+            for i in outputs:
+                ET.SubElement(structure, kind, {"valueReference": str(i), **attributes})
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _units(definitions: ET.Element, unit: Unit) -> None:
+    for name in sorted({each.unit for each in unit.values if each.unit}):
+        made = ET.SubElement(definitions, "Unit", {"name": name})
+        ET.SubElement(made, "BaseUnit", {base: str(power) for base, power in _BASE_UNITS[name].items()})
+
+
+def _variable(variables: ET.Element, reference: int, value: Value, version: str) -> None:
+    """One variable. What is an output does not depend on an input of the same instant."""
+    second = version == "2.0"
+    causality, variability = {
+        CONSTANT: ("independent", "continuous") if reference == 0 else ("local", "constant"),
+        PARAMETER: ("parameter", "fixed"), INPUT: ("input", "discrete"), 0: ("output", "discrete"),
+    }[value.role]  # fmt: skip
+    common = {"name": value.name, "valueReference": str(reference), "causality": causality, "variability": variability}
+    if value.description:
+        common["description"] = value.description
+    own: dict[str, str] = {"unit": value.unit} if value.unit else {}
+    if value.type != TRUTH and value.role in (PARAMETER, INPUT):
+        limits = {
+            "min": value.least,
+            "max": min(value.most, _LARGEST_INTEGER) if second and value.type == WHOLE else value.most,
+        }
+        own |= {name: _text(limit, value) for name, limit in limits.items() if math.isfinite(limit)}
+    if value.role in (PARAMETER, INPUT) or causality == "local":
+        own["start"] = _text(value.start, value)
+        if causality == "local":
+            common["initial"] = "exact"
+    elif causality == "output":
+        common["initial"] = "calculated"
+    kind = _TYPES[version][value.type]
+    if second:
+        ET.SubElement(ET.SubElement(variables, "ScalarVariable", common), kind, own)
+    else:
+        ET.SubElement(variables, kind, common | own)
+
+
+def _text(number: float, value: Value) -> str:
+    if value.type == TRUTH:
+        return "true" if number else "false"
+    return str(int(number)) if value.type == WHOLE else repr(float(number))
+
+
+def _page(unit: Unit) -> str:
+    """``documentation/index.html``: the values in a table."""
+    from html import escape
+
+    roles = {CONSTANT: "constant", PARAMETER: "parameter", INPUT: "input", 0: "output"}
+    rows = "\n".join(
+        f"<tr><td>{each.name}</td><td>{roles[each.role]}</td><td>{escape(each.unit)}</td>"
+        f"<td>{escape(each.description)}</td></tr>"
+        for each in unit.values
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>adaptrack</title></head><body>\n'
+        f"<h1>{escape(unit.title)}</h1>\n<p>A step is {unit.period:g} s. SI units, angles in rad; x forward, y left, "
+        "angles positive to the left (ISO 8855).</p>\n"
+        f"<table>\n<tr><th>name</th><th>is</th><th>unit</th><th>means</th></tr>\n{rows}\n</table></body></html>\n"
+    )

@@ -1,0 +1,267 @@
+/* adaptrack: a unit of co-simulation, whichever version of the interface asks. C99 and of its library malloc, free,
+   fopen, fread, fclose. */
+#include "fmu.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#ifdef _WIN32
+#include <windows.h>
+#endif
+
+enum { TIME = 0, PERIOD = 1 };
+enum { FAILED = 1, NO_DELAY = 2 }; /* adaptrack.core.units.contract */
+static const double CLOSE = 1e-3;  /* share of a period by which times of the master may be off */
+enum { LINE = 64, LONGEST = 100000000 };
+static const char *const SAYS[] = {
+    "", "a null pointer or a wrong size", "too little memory", "not initialised", "another thread is in this instance",
+    "constants or state are damaged", "resources/constants.bin is of another version of adaptrack",
+    "resources/constants.bin is of another kind", "resources/constants.bin has other sizes",
+    "the state was saved under other constants", "the state was saved on another path",
+    "the processor does not round to nearest, or takes subnormal numbers for zero"};
+
+fmu_status fmu_refuse(const fmu *f, const char *text) {
+    if (f && f->say) f->say(f, FMU_ERROR, text);
+    return FMU_ERROR;
+}
+
+static fmu_status refuse_block(const fmu *f, adaptrack_error status) {
+    return status == ADAPTRACK_OK ? FMU_OK
+                                  : fmu_refuse(f, status < sizeof SAYS / sizeof *SAYS ? SAYS[status] : "refused");
+}
+
+static fmu_status refuse_value(const fmu *f, const char *what, uint32_t reference) {
+    char text[160];
+    snprintf(text, sizeof text, "the value with reference %lu %s", (unsigned long)reference, what);
+    return fmu_refuse(f, text);
+}
+
+/* -- the processor ------------------------------------------------------------------------------------------------ */
+#ifdef ADAPTRACK_NEEDS_AVX2
+#include <cpuid.h>
+static int fits(void) {
+    unsigned a, b, c, d, low, high;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || (c & (1u << 12 | 1u << 27 | 1u << 28)) != (1u << 12 | 1u << 27 | 1u << 28))
+        return 0; /* FMA, and an operating system that keeps the registers of AVX */
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    return (low & 6u) == 6u && __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & 1u << 5) != 0;
+}
+#else
+static int fits(void) { return 1; }
+#endif
+
+/* -- the constants ------------------------------------------------------------------------------------------------ */
+static FILE *opened(const char *path) {
+#ifdef _WIN32
+    wchar_t wide[1024];
+    return MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 1024) > 0 ? _wfopen(wide, L"rb") : NULL;
+#else
+    return fopen(path, "rb");
+#endif
+}
+
+static void *contents(const char *folder, size_t *size) {
+    static const char NAME[] = "/constants.bin";
+    size_t length = strlen(folder);
+    char *path = malloc(length + sizeof NAME), *found = NULL;
+    FILE *file;
+    if (!path) return NULL;
+    memcpy(path, folder, length);
+    memcpy(path + length, NAME, sizeof NAME);
+    file = opened(path);
+    free(path);
+    if (!file) return NULL;
+    if (fseek(file, 0, SEEK_END) == 0) {
+        long end = ftell(file);
+        if (end > 0 && end < LONGEST && fseek(file, 0, SEEK_SET) == 0) {
+            *size = (size_t)end;
+            found = malloc(*size);
+            if (found && fread(found, 1, *size, file) != *size) free(found), found = NULL;
+        }
+    }
+    fclose(file);
+    return found;
+}
+
+/* Whether a token is that of the constants: their CRC-32, as adaptrack.export.fmu writes it. */
+static int is_of(const char *token, const void *constants, size_t size) {
+    char own[16];
+    snprintf(own, sizeof own, "{%08lx}", (unsigned long)adaptrack_crc32(constants, size));
+    return token && strcmp(token, own) == 0;
+}
+
+/* -- an instance -------------------------------------------------------------------------------------------------- */
+static fmu_status lay(fmu *f) {
+    uint64_t *record = adaptrack_block_record(f->memory);
+    size_t size = adaptrack_block_memory(f->constants, f->size);
+    adaptrack_error status = adaptrack_block_lay(&f->unit->reader, f->memory, size, f->constants, f->size);
+    if (status != ADAPTRACK_OK) return refuse_block(f, status);
+    f->values = (double *)(uintptr_t)record[0], f->count = (size_t)record[1];
+    f->kinds = (const int64_t *)(uintptr_t)record[2];
+    f->mode = FMU_MADE, f->stale = 1, f->start = 0.0;
+    return record[3] == record[1] && f->count > PERIOD && f->values[PERIOD] > 0.0 ? FMU_OK : refuse_block(f, 5);
+}
+
+fmu *fmu_open(const fmu *given, const char *name, const char *token, const char *resources) {
+    fmu *f = calloc(1, sizeof *f);
+    adaptrack_error status = ADAPTRACK_BAD_ARGUMENT;
+    if (!f) return NULL;
+    *f = *given;
+    snprintf(f->name, sizeof f->name, "%s", name ? name : "");
+    f->constants = resources ? contents(resources, &f->size) : NULL;
+    if (!fits()) {
+        fmu_refuse(f, "the processor has no AVX2 and FMA, for which this FMU is built");
+    } else if (!f->constants) {
+        fmu_refuse(f, "resources/constants.bin is not there");
+    } else if (!is_of(token, f->constants, f->size)) {
+        fmu_refuse(f, "the token in modelDescription.xml is not that of resources/constants.bin");
+    } else {
+        for (size_t i = 0; i < FMU_COUNT && status != ADAPTRACK_OK; i++) {
+            f->unit = FMU_UNITS + i;
+            status = adaptrack_block_check(&f->unit->reader, f->constants, f->size);
+            if (status != ADAPTRACK_OK && status != ADAPTRACK_OTHER_KIND) break;
+        }
+        if (refuse_block(f, status) == FMU_OK) {
+            f->room = malloc(adaptrack_block_memory(f->constants, f->size) + LINE);
+            if (f->room) {
+                f->memory = (char *)f->room + (LINE - (uintptr_t)f->room % LINE) % LINE;
+                if (lay(f) == FMU_OK) return f;
+            } else {
+                refuse_block(f, ADAPTRACK_TOO_SMALL);
+            }
+        }
+    }
+    fmu_free(f);
+    return NULL;
+}
+
+void fmu_free(fmu *f) {
+    if (!f) return;
+    free(f->room);
+    free(f->constants);
+    free(f);
+}
+
+fmu_status fmu_reset(fmu *f) { return lay(f); }
+
+/* -- a run -------------------------------------------------------------------------------------------------------- */
+/* What a kernel of the unit answered. */
+static fmu_status judged(fmu *f, int64_t status) {
+    if (status == 0) return FMU_OK;
+    if (status < 0) return refuse_value(f, "is not finite or out of its range", (uint32_t)(-1 - status));
+    if (status == NO_DELAY)
+        return fmu_refuse(f, "parallel_exchange: there is no whole period of delay that the exchange could stand for");
+    f->mode = FMU_FAILED;
+    return fmu_refuse(f, "the state is not finite any more");
+}
+
+/* Call one of the unit's kernels. */
+static fmu_status run(fmu *f, int64_t (*kernel)(void *)) {
+    adaptrack_error status = adaptrack_block_take(f->memory);
+    int64_t answer;
+    if (status != ADAPTRACK_OK) return refuse_block(f, status);
+    answer = kernel(adaptrack_block_record(f->memory));
+    adaptrack_block_give(f->memory);
+    return judged(f, answer);
+}
+
+/* The outputs of the first instant, if they are not those of the values at hand. */
+static fmu_status settled(fmu *f) {
+    fmu_status status = FMU_OK;
+    if (f->stale) status = run(f, f->unit->begin);
+    if (status == FMU_OK) f->stale = 0;
+    return status;
+}
+
+fmu_status fmu_initialise(fmu *f, double start) {
+    if (f->mode != FMU_MADE) return fmu_refuse(f, "initialised already: reset first");
+    if (!(start - start == 0.0)) return fmu_refuse(f, "the start time is not finite");
+    f->start = start, f->mode = FMU_SETTING;
+    return FMU_OK;
+}
+
+fmu_status fmu_initialised(fmu *f) {
+    fmu_status status;
+    if (f->mode != FMU_SETTING) return fmu_refuse(f, "not in initialization mode");
+    status = settled(f);
+    if (status == FMU_OK) f->mode = FMU_STEPPING;
+    return status;
+}
+
+fmu_status fmu_terminate(fmu *f) {
+    if (f->mode < FMU_STEPPING) return fmu_refuse(f, "not initialised");
+    f->mode = FMU_OVER;
+    return FMU_OK;
+}
+
+fmu_status fmu_step(fmu *f, double time, double size) {
+    double period = f->values[PERIOD], now = f->start + f->values[TIME], periods;
+    long count;
+    if (f->mode != FMU_STEPPING) return fmu_refuse(f, "a step before initialization, or after the end");
+    if (!(time - now <= CLOSE * period && now - time <= CLOSE * period))
+        return fmu_refuse(f, "the step does not begin where the last one ended");
+    periods = size / period;
+    if (!(periods > 0.5 && periods < 1e6)) return fmu_refuse(f, "the step is not a whole number of periods");
+    count = (long)(periods + 0.5);
+    if (!(periods - (double)count <= CLOSE && (double)count - periods <= CLOSE))
+        return fmu_refuse(f, "the step is not a whole number of periods: see fixedInternalStepSize");
+    for (; count > 0; count--) {
+        fmu_status status = run(f, f->unit->step);
+        if (status != FMU_OK) return status;
+    }
+    return FMU_OK;
+}
+
+fmu_status fmu_set(fmu *f, uint32_t reference, int type, double value) {
+    if (reference >= f->count || (f->kinds[reference] & FMU_TYPE) != type)
+        return refuse_value(f, "does not exist, or is of another type", reference);
+    if (!(f->kinds[reference] & (FMU_INPUT | FMU_PARAMETER)))
+        return refuse_value(f, "is computed: it cannot be set", reference);
+    if (f->mode > FMU_STEPPING || (f->mode == FMU_STEPPING && !(f->kinds[reference] & FMU_INPUT)))
+        return refuse_value(f, "cannot be set now", reference);
+    f->values[reference] = value;
+    f->stale = f->mode != FMU_STEPPING;
+    return FMU_OK;
+}
+
+fmu_status fmu_get(fmu *f, uint32_t reference, int type, double *value) {
+    if (reference >= f->count || (f->kinds[reference] & FMU_TYPE) != type)
+        return refuse_value(f, "does not exist, or is of another type", reference);
+    if (f->mode == FMU_SETTING && settled(f) != FMU_OK) return FMU_ERROR;
+    *value = f->values[reference] + (reference == TIME ? f->start : 0.0);
+    return FMU_OK;
+}
+
+/* -- its state: size, mode, stale, start, CRC-32 of these, then the block's ------------------------------------------ */
+typedef struct {
+    uint64_t size;
+    int64_t mode, stale;
+    double start;
+    uint64_t sum;
+} saved;
+
+size_t fmu_state_size(const fmu *f) { return sizeof(saved) + adaptrack_block_state_size(f->memory); }
+
+fmu_status fmu_save(fmu *f, void *state, size_t size) {
+    saved head = {fmu_state_size(f), (int64_t)f->mode, f->stale, f->start, 0};
+    char *rest = (char *)state + sizeof head;
+    if (!state || size < head.size) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
+    head.sum = adaptrack_crc32(&head, offsetof(saved, sum));
+    memcpy(state, &head, sizeof head);
+    return refuse_block(f, adaptrack_block_save(&f->unit->reader, f->memory, rest, size - sizeof head));
+}
+
+fmu_status fmu_restore(fmu *f, const void *state) {
+    saved head;
+    fmu_status status;
+    if (!state) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
+    memcpy(&head.size, state, sizeof head.size);
+    if (head.size != fmu_state_size(f)) return fmu_refuse(f, "the state is of another FMU");
+    memcpy(&head, state, sizeof head);
+    if (head.sum != adaptrack_crc32(&head, offsetof(saved, sum))) return fmu_refuse(f, "the state is damaged");
+    status = refuse_block(f, adaptrack_block_restore(&f->unit->reader, f->memory, (const char *)state + sizeof head,
+                                                     (size_t)head.size - sizeof head));
+    if (status != FMU_OK) return status;
+    f->mode = (fmu_mode)head.mode, f->stale = (int)head.stale, f->start = head.start;
+    return FMU_OK;
+}

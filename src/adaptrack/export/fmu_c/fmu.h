@@ -1,0 +1,64 @@
+/* adaptrack: what both versions of the Functional Mock-up Interface share. A unit (adaptrack.core.units) is a vector of
+   values and two kernels; a value reference is a place in that vector. Instances share nothing. */
+#ifndef ADAPTRACK_FMU_H
+#define ADAPTRACK_FMU_H
+#include "adaptrack_block.h"
+
+#ifdef _WIN32
+#define FMU_PUBLIC __declspec(dllexport)
+#else
+#define FMU_PUBLIC __attribute__((visibility("default")))
+#endif
+
+/* The numbers are those of fmi2Status and fmi3Status. */
+typedef enum { FMU_OK = 0, FMU_ERROR = 3, FMU_FATAL = 4 } fmu_status;
+typedef enum { FMU_MADE, FMU_SETTING, FMU_STEPPING, FMU_OVER, FMU_FAILED } fmu_mode;
+/* What a value is: its type, and whether it may be set; as in adaptrack.export.fmu. */
+enum { FMU_REAL = 0, FMU_WHOLE = 1, FMU_TRUTH = 2, FMU_TYPE = 3, FMU_PARAMETER = 4, FMU_INPUT = 8 };
+
+typedef struct {
+    adaptrack_reader reader;
+    int64_t (*begin)(void *record);
+    int64_t (*step)(void *record);
+} fmu_unit;
+
+/* units.h, which the build writes: the kernels at hand */
+extern const fmu_unit FMU_UNITS[];
+extern const size_t FMU_COUNT;
+
+typedef struct fmu fmu;
+struct fmu {
+    const fmu_unit *unit;
+    void *constants, *room, *memory; /* the block; what malloc gave; the memory in it, from a cache line on */
+    size_t size;
+    double *values;
+    const int64_t *kinds;
+    size_t count; /* of values */
+    double start; /* s, time of the first instant */
+    fmu_mode mode;
+    int stale; /* values were set since the outputs of the first instant were computed */
+    /* the logger of the master, which each version calls in its way */
+    void (*say)(const fmu *, fmu_status, const char *);
+    void (*logger)(void);
+    void *environment;
+    char name[128];
+};
+
+/* A new instance from resources/constants.bin in a folder (UTF-8); 0, with a word to the logger, where there is none
+   of these kernels or of this token. given: the logger's part of an instance. */
+fmu *fmu_open(const fmu *given, const char *name, const char *token, const char *resources);
+void fmu_free(fmu *);
+fmu_status fmu_reset(fmu *);
+fmu_status fmu_initialise(fmu *, double start);
+fmu_status fmu_initialised(fmu *);
+fmu_status fmu_terminate(fmu *);
+/* Go on by a whole number of periods. */
+fmu_status fmu_step(fmu *, double time, double size);
+fmu_status fmu_set(fmu *, uint32_t reference, int type, double value);
+fmu_status fmu_get(fmu *, uint32_t reference, int type, double *value);
+size_t fmu_state_size(const fmu *);
+fmu_status fmu_save(fmu *, void *state, size_t size);
+fmu_status fmu_restore(fmu *, const void *state);
+/* FMU_ERROR, and a word to the logger. */
+fmu_status fmu_refuse(const fmu *, const char *text);
+#endif

@@ -1,0 +1,210 @@
+"""Units of co-simulation (see `core.units`) as an export describes them: their values by name, and the record."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.checked import Bound, NotNegative, Positive, checked
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import Plant
+from adaptrack.control.controllers import MPC, Controller
+from adaptrack.core.build.header import remarks
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.period import Given
+from adaptrack.core.plants.contract import place, vehicle_batch
+from adaptrack.core.units import car, controller
+from adaptrack.drive.failure import Failure
+from adaptrack.drive.world import Driver, World
+from adaptrack.export.block import Role
+from adaptrack.export.tracking import ROLES, refuse, small_record_of
+from adaptrack.road import Road, SpeedPlan
+from adaptrack.road.ahead import pack_roads
+from adaptrack.scenario import RoadDrive, Scenario
+from adaptrack.scenario.profile import Profile, load_profile
+
+REAL, WHOLE, TRUTH, PARAMETER, INPUT, CONSTANT = 0, 1, 2, 4, 8, 16
+"""What a value is, as `fmu.h` numbers it: its type and its role; an output without one."""
+LARGEST_SEED = 2.0**53
+FASTEST = 70.0
+"""m/s, to which a car is integrated where no drive says how fast it goes."""
+_UNIT = re.compile(r"(?P<unit>1/m|m/s\^2|m/s|rad/s|rad|m|s|-|true)(?P<end>[,:] |$)")
+
+
+@dataclass(frozen=True)
+class Value:
+    """One of the numbers of a unit; its place is its reference."""
+
+    name: str
+    kind: int
+    """type and role, see `REAL`"""
+    unit: str
+    """empty for a pure number"""
+    description: str
+    start: float = 0.0
+    least: float = -math.inf
+    most: float = math.inf
+
+    @property
+    def type(self) -> int:
+        """`REAL`, `WHOLE` or `TRUTH`."""
+        return self.kind & 3
+
+    @property
+    def role(self) -> int:
+        """`PARAMETER`, `INPUT`, `CONSTANT`, or 0 of an output."""
+        return self.kind & ~3
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit before its first instant."""
+
+    name: str
+    title: str
+    record: Any
+    values: tuple[Value, ...]
+    """beginning with the constants"""
+    roles: Mapping[str, Role]
+    """of the record's arrays, see `block.pack`"""
+
+    @property
+    def period(self) -> float:
+        """s, of a step."""
+        return float(self.record.values[1])
+
+
+def described(module: str, groups: Mapping[int, tuple[str, ...]], given: Mapping[str, tuple[float, ...]]) -> Any:
+    """The values of a unit in the words of its kernel's file; whole numbers are those that say nothing of a unit.
+
+    groups: names of the constants, parameters, inputs and outputs by their role (`CONSTANT`, `PARAMETER`, `INPUT`, 0);
+    given: start, least and most where they are not 0 and no limit.
+    """
+    words = {name: text for _, fields in remarks(module).values() for name, text in fields.items()}
+    found = []
+    for role, names in groups.items():
+        for name in names:
+            match = _UNIT.match(words.get(name, ""))
+            unit = match["unit"] if match else ""
+            kind = TRUTH if unit == "true" else REAL if match else WHOLE
+            text = words.get(name, "")[match.end() if match and unit != "true" else 0 :]
+            found.append(Value(name, kind | role, "" if unit in ("-", "true") else unit, text, *given.get(name, ())))
+    return tuple(found)
+
+
+@checked
+def car_unit(
+    plant: Plant,
+    route: Scenario | RoadDrive | None = None,
+    *,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    period: Positive | None = None,
+) -> Unit:
+    """A car of the simulated world as a unit: what `simulate` puts around a controller, without plan and environment.
+
+    route: where it starts and how fast, and the road from which its offset counts; None: at the origin, at 20 m/s.
+
+    Raises
+    ------
+    InvalidInput
+        When the plant is none of the package's own, or the driver looks ahead by less than a period.
+    """
+    world = _world(plant, profile, driver, period)
+    road = getattr(route, "road", None)
+    if route is None:
+        pose, speed, fastest = (0.0, 0.0, 0.0), 20.0, FASTEST
+    else:
+        signals = route.sample(world.period)
+        pose, speed, fastest = route.start_pose(), float(signals.speed[0]), float(signals.speed.max())
+    ahead = world.period if driver is None else driver.preview
+    if ahead < world.period:
+        raise InvalidInput(f"driver: preview = {ahead:g} s: must be a control period at least, {world.period:g} s.")
+    samples = math.floor(ahead / world.period) + 2
+    motion = np.array([*pose, speed, 0.0, 0.0])
+    vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), world.plant.initial_state(motion)[None])  # type: ignore[union-attr]
+    place(1, vehicles.start, vehicles.block, vehicles.states)
+    given = Given(np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64))
+    loop = world.loop(given, vehicles, world.settings(world.substeps(fastest)), variables=False)
+    starts = {
+        "period": (world.period,), "speed_preview": (ahead,), "seed": (0.0, 0.0, LARGEST_SEED),
+        "parallel_exchange": (0.0, 0.0, 1.0), "start_speed": (speed, 0.0, 100.0), "command": (0.0, -math.pi, math.pi),
+        "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
+        **dict(zip(("start_x", "start_y", "start_yaw"), ((each, -1e8, 1e8) for each in pose), strict=True)),
+        "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
+        **{name: (0.9, 1e-3, 3.0) for name in car.INPUTS if name.startswith("friction")},
+        **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
+    }  # fmt: skip
+    groups = {CONSTANT: car.CONSTANTS, PARAMETER: car.PARAMETERS, INPUT: car.INPUTS, 0: car.OUTPUTS}
+    values = described(car.__name__, groups, starts)
+    past = loop.memory.past.shape[1]
+    record = car.Car(*_columns(values), past=np.zeros(past), loop=loop)
+    title = f"car {getattr(plant, 'vehicle', plant).name}, {plant.name}, profile {world.profile.name}"
+    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), Role.FIXED)
+    return Unit("car", title, record, values, FIXED | roles)
+
+
+@checked
+def controller_unit(
+    made: Controller,
+    path: Road,
+    plan: SpeedPlan | None = None,
+    *,
+    furthest: Annotated[Bound, "m"] = 10.0,
+    speed_preview: Annotated[NotNegative, "s"] | None = None,
+) -> Unit:
+    """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
+
+    plan, furthest: as of `Tracker`; speed_preview: how far ahead the car that is driven wants to know its planned speed,
+    by default a period. What the controller has learned so far travels along; it stays as it is.
+
+    Raises
+    ------
+    InvalidInput
+        When the controller, or a part of it, is not compiled ahead of time.
+    """
+    refuse(made)
+    tracking = small_record_of(made, path, plan, furthest)
+    first = 0.0 if plan is None else float(plan.speed[0])
+    expected = made.model.dead_time if isinstance(made, MPC) else 0.0
+    starts = {
+        "period": (made.period,), "expected_delay": (expected,), "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
+        "speed_preview": (made.period if speed_preview is None else speed_preview, 0.0, 10.0), "pose_known": (1.0,), "yaw_rate_known": (1.0,),
+        **dict.fromkeys(("planned_speed", "planned_speed_ahead"), (first,)),
+    }  # fmt: skip
+    groups = {
+        CONSTANT: controller.CONSTANTS, PARAMETER: controller.PARAMETERS, INPUT: controller.INPUTS,
+        0: controller.OUTPUTS,
+    }  # fmt: skip
+    values = described(controller.__name__, groups, starts)
+    kind = controller.Steering if isinstance(made, MPC) else controller.LawSteering
+    roles = {f"tracking.{name}": role for name, role in ROLES.items()}
+    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), Role.FIXED)
+    title = f"controller {made.name} on {path.name}"
+    return Unit("controller", title, kind(*_columns(values), tracking=tracking), values, FIXED | roles)
+
+
+FIXED = dict.fromkeys(("kinds", "least", "most"), Role.FIXED)
+"""Of every unit."""
+
+
+def _columns(values: tuple[Value, ...]) -> tuple[NDArray[Any], ...]:
+    """Values, kinds, least and most as the kernels read them."""
+    kinds = np.array([each.kind for each in values], np.int64)
+    return (np.array([each.start for each in values]), kinds, np.array([each.least for each in values]),
+            np.array([each.most for each in values]))  # fmt: skip
+
+
+def _world(plant: Plant, profile: str | Profile, driver: Driver | None, period: float | None) -> World:
+    """The world of a car alone: it has no reference, from which it could come away."""
+    known = load_profile(profile)
+    if getattr(plant, "steering", None) is None:
+        plant = plant.with_steering(known.steering)
+    rule = Failure(distance=math.inf, sideslip=Failure.of(plant).sideslip)
+    return World(plant, known, known.period if period is None else period, driver, None, rule)

@@ -1,0 +1,122 @@
+"""FMUs in tests: FMPy's calls of both versions under one name."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.core import library
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.world import World
+from adaptrack.export import fmu_build
+
+
+def _why_not():
+    if library.WAY != "library":
+        return "compares libraries"
+    try:
+        built = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text())
+    except (OSError, ValueError):
+        return "binaries for FMUs are not built: python -m adaptrack.export.fmu_build"
+    if built["kernels"] != library.kernels_hash() or built["sources"] != fmu_build.sources_hash():
+        return "binaries for FMUs are of other sources: python -m adaptrack.export.fmu_build"
+    return None
+
+
+needed = pytest.mark.skipif(_why_not() is not None, reason=str(_why_not()))
+
+
+class Instance:
+    """An instance of an FMU, driven by FMPy's calls."""
+
+    def __init__(self, path, folder, name="one", **parameters):
+        fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+        self.description = fmpy.read_model_description(str(path))
+        self.second = self.description.fmiVersion == "2.0"
+        slave = fmpy.fmi2.FMU2Slave if self.second else fmpy.fmi3.FMU3Slave
+        unpacked = folder / path.stem
+        if not unpacked.exists():
+            fmpy.extract(str(path), str(unpacked))
+        self.fmu = slave(
+            guid=self.description.guid, unzipDirectory=str(unpacked),
+            modelIdentifier=self.description.coSimulation.modelIdentifier, instanceName=name,
+        )  # fmt: skip
+        self.variables = {each.name: each for each in self.description.modelVariables}
+        self.fmu.instantiate()
+        self.begin(**parameters)
+
+    def begin(self, start=0.0, **parameters):
+        if self.second:
+            self.fmu.setupExperiment(startTime=start)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=start)
+        self.set(**parameters)
+        self.fmu.exitInitializationMode()
+        self.period, self.start, self.steps = self.get("period"), start, 0
+
+    def set(self, **values):
+        for name, value in values.items():
+            variable = self.variables[name]
+            getattr(self.fmu, f"set{variable.type}")([variable.valueReference], [value])
+
+    def get(self, *names):
+        found = [
+            getattr(self.fmu, f"get{self.variables[n].type}")([self.variables[n].valueReference])[0] for n in names
+        ]
+        return found if len(names) > 1 else found[0]
+
+    def step(self, periods=1, **values):
+        self.set(**values)
+        at = self.start + self.steps * self.period
+        self.fmu.doStep(currentCommunicationPoint=at, communicationStepSize=periods * self.period)
+        self.steps += periods
+
+    def saved(self):
+        if self.second:
+            return self.fmu.serializeFMUstate(self.fmu.getFMUstate())
+        return self.fmu.serializeFMUState(self.fmu.getFMUState())
+
+    def restore(self, state):
+        if self.second:
+            self.fmu.setFMUstate(self.fmu.deSerializeFMUstate(state))
+        else:
+            self.fmu.setFMUState(self.fmu.deserializeFMUState(state))
+
+    def free(self):
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+
+
+class Signals:
+    """What a drive of `simulate` gives a car at its instants, as inputs of the FMU."""
+
+    def __init__(self, plant, controller, route, profile, driver):
+        self.world = World.of(plant, controller, profile, driver, None, None)
+        self.route, self.driver = route, driver
+        self.signals = route.sample(controller.period)
+        self.curved = hasattr(route, "road")
+
+    def loop(self, seed):
+        return ClosedLoop(self.world, self.route, seed)
+
+    def at(self, k, station):
+        signals, n = self.signals, self.signals.n
+        place, given = k, {}
+        if self.curved:
+            place = max(int(np.searchsorted(signals.station, station, side="right")) - 1, 0)
+            given = {"on_plan": True, "plan_station": signals.station[k]}
+        ahead = signals.speed[k + 1]
+        if self.driver is not None:
+            periods = self.driver.preview / self.world.period
+            j = min(k + math.floor(periods), n)
+            near, far = signals.speed[j], signals.speed[min(j + 1, n)]
+            ahead = near + (periods - math.floor(periods)) * (far - near)
+        wheels = ("front_left", "front_right", "rear_left", "rear_right")
+        given |= {f"friction_{wheel}": value for wheel, value in zip(wheels, signals.friction[place], strict=True)}
+        wind_x, wind_y = signals.wind[place]
+        return given | {
+            "speed": signals.speed[k], "speed_ahead": ahead, "wind_x": wind_x, "wind_y": wind_y,
+            "bank": signals.push[place],
+        }  # fmt: skip

@@ -1,0 +1,393 @@
+"""Car and controller as FMUs: driven by FMPy, they are those of `simulate` and of `Tracker`, to the bit."""
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+import zipfile
+import zlib
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+import adaptrack.export
+from adaptrack import cli
+from adaptrack.core.kernel import Resident
+from adaptrack.core.units import car as kernel
+from adaptrack.export import fmu_build
+from adaptrack.export.fmu import constants, write_fmu
+from adaptrack.export.units import car_unit, controller_unit
+from exported import STRICT, compiler
+from fmus import Instance, Signals, needed
+
+pytestmark = [pytest.mark.compiled, needed]
+SOURCES = Path(adaptrack.export.__file__).parent
+TRUE = ("x", "y", "yaw", "vx", "vy", "yaw_rate")
+MEASURED = (
+    "measured_vy", "measured_heading_error", "measured_yaw_rate", "measured_offset", "measured_wheel_angle",
+    "measured_lateral_acceleration", "measured_pose_age", "measured_motion_age",
+)  # fmt: skip
+CAR = at.load_vehicle("paper")
+PLANT = at.DualTrack(CAR)
+
+
+@cache
+def country():
+    road = at.load_road("country", seed=3, length=180.0)
+    return at.RoadDrive(road, at.plan_speed(road, CAR), wind=4.0)
+
+
+@cache
+def lane_change():
+    return at.load_scenario("lane-change")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("fmus")
+
+
+def car(folder, version="3.0", route=None, profile="road", driver=None, period=None, plant=PLANT):
+    name = f"car-{version[0]}-{getattr(route, 'name', 'none')}-{profile}-{plant.name}-{driver is not None}-{period}"
+    path = folder / f"{name}.fmu"
+    if not path.exists():
+        write_fmu(car_unit(plant, route, profile=profile, driver=driver, period=period), path, version)
+    return path
+
+
+def same(a, b):
+    return np.array(a, float).tobytes() == np.array(b, float).tobytes()
+
+
+def differing(instance, plant, controller, route, profile, driver, seed, late=0):
+    """Instants at which the FMU differs from `simulate` under its commands: in the true state, or as measured.
+
+    late: periods by which the commands come later.
+    """
+    driven = at.simulate(plant, controller, route, profile=profile, driver=driver, seed=seed)
+    assert driven.failed is None
+    given = Signals(plant, controller, route, profile, driver)
+    loop, found = given.loop(seed), 0
+    states = np.stack([driven.X, driven.Y, driven.psi, driven.vx, driven.vy, driven.yaw_rate], axis=-1)
+    for k in range(given.signals.n):
+        now = loop.sense()
+        sensed = [*now.measured[:8], now.speed]
+        found += not (same(instance.get(*TRUE), states[k]) and same(instance.get(*MEASURED, "measured_speed"), sensed))
+        command = driven.command[k - late] if k >= late else 0.0
+        instance.step(command=command, **given.at(k, instance.get("station")))
+        loop.send(float(driven.command[k]))
+        loop.advance()
+    return found
+
+
+LOOPS = {
+    "published": (lambda: at.published_mpc(CAR), "paper", None, lane_change),
+    "informed": (lambda: at.MPC(CAR, profile="road", preview=True), "road", at.Driver(), lane_change),
+    "learning": (lambda: at.MPC(CAR, profile="production", learning=at.Learning()), "production", None, country),
+    "stanley": (lambda: at.Stanley(CAR, period=0.05), "road", at.Driver(), country),
+    "lqr": (lambda: at.LQR(CAR, period=0.05), "road", None, country),
+}
+"""Controllers and what they drive in: profile, driver, route."""
+
+
+# -- the car ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("loop", "version"), [*((each, "3.0") for each in LOOPS), ("informed", "2.0")])
+def test_a_loop_over_fmpys_calls_is_a_drive_of_simulate_to_the_bit(loop, version, folder):
+    make, profile, driver, route = LOOPS[loop]
+    controller = make()
+    instance = Instance(car(folder, version, route(), profile, driver, controller.period), folder, seed=11)
+    assert differing(instance, PLANT, controller, route(), profile, driver, 11) == 0
+    instance.free()
+
+
+def test_in_a_parallel_exchange_the_cars_own_delay_is_a_period_shorter_to_the_bit(folder):
+    controller = at.MPC(CAR, profile="road", preview=True)
+    instance = Instance(car(folder, route=lane_change()), folder, seed=4, parallel_exchange=True)
+    assert differing(instance, PLANT, controller, lane_change(), "road", None, 4, late=1) == 0
+
+
+def test_a_car_without_a_delay_refuses_a_parallel_exchange(folder, capfd):
+    with pytest.raises(Exception, match="fmi3ExitInitializationMode"):
+        Instance(car(folder, profile="paper"), folder, parallel_exchange=True)
+
+
+def test_fmpys_own_simulation_is_a_drive_of_simulate_to_the_bit(folder):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    controller, route = at.MPC(CAR, profile="road", preview=True), lane_change()
+    driven = at.simulate(PLANT, controller, route, profile="road", seed=5)
+    given = Signals(PLANT, controller, route, "road", None)
+    rows = [{"time": k * 0.05, "command": driven.command[k], **given.at(k, 0.0)} for k in range(given.signals.n)]
+    rows = [{**row, "on_plan": False, "plan_station": 0.0} for row in rows]
+    table = np.array([tuple(row.values()) for row in rows], [(name, float) for name in rows[0]])
+    for version in ("2.0", "3.0"):
+        found = fmpy.simulate_fmu(
+            str(car(folder, version, route)), stop_time=rows[-1]["time"], output_interval=0.05, input=table,
+            start_values={"seed": 5}, output=TRUE,
+        )  # fmt: skip
+        names = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
+        assert all(same(found[a], getattr(driven, b)[: len(found)]) for a, b in zip(TRUE, names, strict=True))
+        assert len(found) == len(rows)
+
+
+def test_both_descriptions_are_valid(folder):
+    validation = pytest.importorskip("fmpy.validation", reason="FMPy is not installed")
+    for version in ("2.0", "3.0"):
+        for path in (car(folder, version), pilot(folder, "informed", version)):
+            assert validation.validate_fmu(str(path)) == []
+
+
+def test_a_step_of_several_periods_is_several_steps(folder):
+    one, other = (Instance(car(folder), folder, name) for name in ("one", "other"))
+    one.step(4, command=0.02)
+    for _ in range(4):
+        other.step(command=0.02)
+    assert same(one.get(*TRUE), other.get(*TRUE))
+    assert one.get("time") == other.get("time") == 4 * 0.05
+
+
+# -- the controller ---------------------------------------------------------------------------------------------------
+SAMPLES = {
+    "x": "measured_x", "y": "measured_y", "yaw": "measured_yaw", "speed": "measured_speed",
+    "yaw_rate": "measured_yaw_rate", "wheel_angle": "measured_wheel_angle", "age": "measured_pose_age",
+}  # fmt: skip
+"""What is connected: the controller's input, the car's output."""
+
+
+@cache
+def controller_of(name):
+    return LOOPS[name][0]()
+
+
+def pilot(folder, name, version="3.0"):
+    path = folder / f"controller-{name}-{version[0]}.fmu"
+    if not path.exists():
+        write_fmu(controller_unit(controller_of(name), country().road, country().plan), path, version)
+    return path
+
+
+def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None):
+    """The car's true states with a controller in a loop; parallel: both step from what the other gave before."""
+    _, profile, driver, _ = LOOPS[name]
+    own = car(folder, version, country(), profile, driver, controller_of(name).period)
+    body = Instance(own, folder, seed=2, parallel_exchange=parallel)
+    mind = Instance(pilot(folder, name, version), folder, wheel_angle_known=True)
+    given, states = Signals(PLANT, controller_of(name), country(), profile, driver), []
+    for k in range(periods):
+        states.append(body.get(*TRUE))
+        sample = {name: body.get(output) for name, output in SAMPLES.items()}
+        plan = given.at(k, body.get("station"))
+        before = mind.get("command")
+        mind.step(**sample)
+        body.step(command=before if parallel else mind.get("command"), **plan)
+        if watch is not None:
+            watch(k, sample, mind)
+    return states
+
+
+@pytest.mark.parametrize("name", ["published", "informed", "learning", "stanley", "lqr"])
+def test_the_controller_is_the_tracker_to_the_bit(name, folder):
+    tracker, differ = at.Tracker(LOOPS[name][0](), country().road, plan=country().plan), []
+    names = ("command", "offset", "heading_error", "station")
+
+    def watch(k, sample, mind):
+        now = k * mind.period
+        place = [sample[each] for each in ("x", "y", "yaw", "speed", "yaw_rate")]
+        found = tracker.step(now - sample["age"], *place, wheel_angle=sample["wheel_angle"], now=now)
+        status = list(at.Status).index(found.status)
+        differ.append(
+            not same([getattr(found, each) for each in names], mind.get(*names)) or status != mind.get("status")
+        )
+
+    states = drive(folder, name, watch=watch)
+    assert sum(differ) == 0
+    assert states[-1][0] != states[0][0]
+
+
+def test_both_orders_of_the_exchange_drive_alike_to_the_bit(folder):
+    assert same(drive(folder, "stanley"), drive(folder, "stanley", parallel=True))
+
+
+def test_the_two_drive_a_planned_road_by_themselves(folder):
+    driver = at.Driver()
+    own = car(folder, "3.0", country(), "road", driver, 0.05)
+    path = folder / "alone.fmu"
+    unit = controller_unit(controller_of("informed"), country().road, country().plan, speed_preview=driver.preview)
+    body, mind = Instance(own, folder), Instance(write_fmu(unit, path), folder, wheel_angle_known=True)
+    assert mind.get("planned_speed") == country().plan.speed[0]
+    for _ in range(120):
+        mind.step(**{name: body.get(output) for name, output in SAMPLES.items()})
+        command, speed, ahead = mind.get("command", "planned_speed", "planned_speed_ahead")
+        body.step(command=command, speed=speed, speed_ahead=ahead)
+        assert abs(body.get("offset")) < 0.3
+    assert speed == pytest.approx(country().plan.at(mind.get("station")), rel=1e-12)
+    assert body.get("vx") == pytest.approx(speed, abs=0.5)
+
+
+def test_both_versions_drive_alike_to_the_bit(folder):
+    assert same(drive(folder, "informed"), drive(folder, "informed", version="2.0"))
+
+
+# -- state, instances -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_state_that_is_carried_to_another_instance_goes_on_to_the_bit(version, folder):
+    one, other = (Instance(car(folder, version, country(), "production"), folder, name) for name in ("one", "other"))
+    for k in range(40):
+        one.step(command=0.01 * math.sin(k))
+    other.restore(one.saved())
+    other.steps = one.steps
+    for k in range(20):
+        for each in (one, other):
+            each.step(command=0.02 * math.cos(k))
+        assert same(one.get(*TRUE, *MEASURED), other.get(*TRUE, *MEASURED))
+
+
+def test_instances_share_nothing(folder):
+    alone = Instance(car(folder), folder, "alone", seed=3)
+    apart = [Instance(car(folder), folder, str(seed), seed=seed) for seed in (3, 4)]
+    for k in range(30):
+        alone.step(command=0.01 * k)
+    for k in range(30):
+        for i, each in enumerate(apart):
+            each.step(command=0.01 * k * (-1) ** i)
+    assert same(alone.get(*TRUE, *MEASURED), apart[0].get(*TRUE, *MEASURED))
+    assert apart[1].get("y") == pytest.approx(-alone.get("y"))
+
+
+def test_an_instance_that_is_reset_begins_anew(folder):
+    instance = Instance(car(folder), folder, seed=3)
+    first = instance.get(*TRUE, *MEASURED)
+    for _ in range(10):
+        instance.step(command=0.1)
+    instance.fmu.terminate()
+    instance.fmu.reset()
+    instance.begin(seed=3)
+    assert same(first, instance.get(*TRUE, *MEASURED))
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda car: car.step(command=math.nan), "reference 10 is not finite or out of its range"),
+        (lambda car: car.step(friction_rear_left=0.0), "reference 17 is not finite"),
+        (lambda car: car.step(0.5), "not a whole number of periods"),
+        (lambda car: car.fmu.doStep(7.0, 0.05), "does not begin where the last one ended"),
+        (lambda car: car.set(seed=3), "reference 3 cannot be set now"),
+        (lambda car: car.set(x=1.0), "is computed"),
+        (lambda car: car.fmu.setFloat64([3], [1.0]), "of another type"),
+        (lambda car: car.fmu.getFloat64([999]), "does not exist"),
+        (lambda car: car.restore(car.saved()[:-8]), "the state is of another FMU"),
+        (lambda car: car.restore(flipped(car.saved(), 99)), "damaged"),
+        (lambda car: car.fmu.enterInitializationMode(startTime=0.0), "reset first"),
+    ],
+)
+def test_a_wrong_call_is_refused_and_changes_nothing(wrong, says, folder, capfd):
+    instance = Instance(car(folder), folder)
+    instance.step(command=0.01)
+    before = instance.saved()
+    with pytest.raises(Exception, match="failed"):
+        wrong(instance)
+    assert says in "".join(capfd.readouterr())
+    instance.set(command=0.01, friction_rear_left=0.9)
+    assert instance.saved() == before
+    capfd.readouterr()
+    instance.free()
+
+
+def flipped(content, place):
+    return content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :]
+
+
+def test_no_flipped_byte_of_a_state_is_taken(folder, capfd):
+    instance = Instance(car(folder), folder)
+    instance.step(command=0.01)
+    state = instance.saved()
+    for place in (*range(100), *range(100, len(state), 997)):
+        with pytest.raises(Exception, match="failed"):
+            instance.restore(flipped(state, place))
+    assert instance.saved() == state
+    capfd.readouterr()
+
+
+def test_damaged_constants_are_refused(folder, tmp_path, capfd):
+    unpacked = tmp_path / car(folder).stem
+    with zipfile.ZipFile(car(folder)) as archive:
+        archive.extractall(unpacked)
+    place = unpacked / "resources" / "constants.bin"
+    place.write_bytes(flipped(place.read_bytes(), 500))
+    with pytest.raises(Exception, match="nstantiate"):
+        Instance(car(folder), tmp_path)
+
+
+def test_what_is_not_compiled_ahead_of_time_is_refused_by_name(folder):
+    own = at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)
+    with pytest.raises(at.InvalidInput, match=r"user|of your own"):
+        write_fmu(car_unit(own), folder / "own.fmu")
+    with pytest.raises(at.InvalidInput, match="none that is compiled ahead of time"):
+        controller_unit(at.get_controller("mppi", CAR), country().road)
+    with pytest.raises(at.InvalidInput, match=r"must end in \.fmu"):
+        write_fmu(car_unit(PLANT), folder / "car.zip")
+
+
+# -- the sources ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("with_headers", [False, True])
+def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, tmp_path):
+    options = []
+    if with_headers:
+        fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+        options = ["-DADAPTRACK_STANDARD_HEADERS", "-isystem", str(Path(fmpy.__file__).parent / "c-code")]
+    for source in fmu_build.SOURCES:
+        if source.suffix == ".c":
+            include = ["-I", str(SOURCES / "c"), "-I", str(SOURCES / "fmu_c")]
+            made = ["-c", str(source), "-o", str(tmp_path / "made.o")]
+            subprocess.run([compiler(), *STRICT, "-Wno-pedantic", *options, *include, *made], check=True)
+
+
+# -- without FMPy -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("system", ["linux", pytest.param("windows", marks=pytest.mark.slow)])
+def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder, tmp_path):
+    own = fmu_build.SYSTEMS[system]
+    binary = fmu_build.BUILT / f"fmu-{system}.{own.ending}"
+    if not binary.exists():
+        pytest.skip(f"the binary for {system} is not built")
+    wine = [] if system == "linux" else [shutil.which("wine64") or "/usr/lib/wine/wine64"]
+    if wine and not Path(wine[0]).exists():
+        pytest.skip("wine is not installed")
+    unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if wine else "driver")
+    libraries = [] if wine else ["-ldl"]
+    source = Path(__file__).parent / "processors" / "fmu_driver.c"
+    subprocess.run([compiler(own.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True)
+    block = constants(unit)
+    (tmp_path / "constants.bin").write_bytes(block.content)
+    place = "." if wine else str(tmp_path)
+    shutil.copy(binary, tmp_path / binary.name)
+    library = binary.name if wine else str(tmp_path / binary.name)
+    token = f"{{{zlib.crc32(block.content):08x}}}"
+    given = [library, place, token, repr(unit.period), "200", str(kernel.VALUE.command)]
+    done = subprocess.run([*wine, str(driver), *given], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    resident = Resident(unit.record)
+    kernel.car_begin(resident)
+    for k in range(200):
+        unit.record.values[kernel.VALUE.command] = (k % 41 - 20) / 512.0
+        assert kernel.car_step(resident) == 0
+    expected = unit.record.values[kernel.VALUE.measured_x : kernel.VALUE.ended]
+    bits = [0 if math.isnan(each) else int(np.float64(each).view(np.uint64)) for each in expected]
+    assert [int(each, 16) for each in done.stdout.split()] == bits
+
+
+def test_the_command_writes_both(folder, monkeypatch, capsys):
+    given = ["export", "fmu", "--road", "country", "--road-seed", "3", "--fmi", "2.0", "--out", str(folder), "--json"]
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *given])
+    assert cli.main() == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["fmi"] == "2.0"
+    for file in said["files"]:
+        assert b'fmiVersion="2.0"' in zipfile.ZipFile(file).read("modelDescription.xml")
+    again = at.export_fmu(PLANT, folder / "again.fmu", country(), profile="road")
+    other = at.export_fmu(PLANT, folder / "other.fmu", country(), profile="road")
+    assert again.read_bytes() == other.read_bytes()

@@ -1,0 +1,375 @@
+"""Constant numbers of controllers, from a car, a belief and a tuning, by kernels in memory of the caller's."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, solve_discrete_are
+
+import adaptrack as at
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+from adaptrack.control.controllers.learned import LearnedCar, Learning
+from adaptrack.control.kalman import KalmanFilter
+from adaptrack.core.controllers.mpc import Settings
+from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.kernel import size_of
+from adaptrack.core.maths.decimal import to_digits, to_places
+from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.synthesis import belief, car, filter, informed, laws, learner, published, tuning
+from adaptrack.core.synthesis.rows import row_of
+from by_kernels import CASES, UNTOUCHED, ordered, prepared
+
+SEDAN = load_vehicle("midsize-sedan")
+
+
+# -- numbers as they are printed --------------------------------------------------------------------------------------
+def test_numbers_are_rounded_as_they_are_printed():
+    """Python's own are rounded correctly, ties to even."""
+    rng = random.Random(1)
+    for i in range(3000):
+        x = rng.choice((1.0, -1.0)) * 10.0 ** rng.uniform(-12.0, 9.0)
+        x = round(x, rng.randint(0, 6)) if i % 3 else rng.randint(0, 10**8) / 2 ** rng.randint(0, 12)
+        digits, places = rng.randint(1, 9), rng.randint(0, 6)
+        assert to_places(x, places) == round(x, places), (x, places)
+        if abs(x) > 1e-15:
+            assert to_digits(x, digits) == float(f"{x:.{digits}g}"), (x, digits)
+
+
+@pytest.mark.parametrize("x", [0.0, math.inf, -math.inf, math.nan, 2.0**60, 1e-300], ids=str)
+def test_what_has_nothing_to_be_rounded_stays(x):
+    np.testing.assert_array_equal([to_places(x, 300), to_digits(x, 4), to_places(x, 0) * (abs(x) > 1e-15)],
+                                  [x, x, x * (abs(x) > 1e-15)])  # fmt: skip
+
+
+@pytest.mark.parametrize(("x", "places", "expected"), [(0.5, 0, 0.0), (1.5, 0, 2.0), (2.5, 0, 2.0), (-0.125, 2, -0.12),
+                                                       (1250.0, -2, 1200.0), (1350.0, -2, 1400.0)])  # fmt: skip
+def test_a_tie_goes_to_the_even_neighbour(x, places, expected):
+    assert to_places(x, places) == expected
+
+
+# -- a car from its mass and wheelbase --------------------------------------------------------------------------------
+def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **known):
+    """Status, car and how well it is known."""
+    made, within = row_of(car.Car, mass=mass, **known), row_of(car.KnownWithin)
+    return car.complete_car(wheelbase, load, truck, made, within), made, within
+
+
+@pytest.mark.parametrize(("mass", "wheelbase", "truck"), [(700.0, 1.9, 0), (1500.0, 2.7, 0), (3000.0, 4.4, 1)])
+def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, truck):
+    """Dynamic index, cornering coefficients, balance of loads: as published, to the digits that are printed."""
+    status, made, within = completed(mass, wheelbase, truck=truck)
+    assert status == car.COMPLETE
+    assert made.lf + made.lr == pytest.approx(wheelbase, abs=1e-5)
+    assert made.yaw_inertia / (mass * made.lf * made.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
+    front, rear = mass * GRAVITY * made.lr / wheelbase, mass * GRAVITY * made.lf / wheelbase
+    assert (2 * made.stiffness_front / front, 2 * made.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
+    assert within.stiffness_front == within.stiffness_rear == 1.62
+    assert not any(math.isnan(made[name]) for name in car.Car._fields)
+
+
+def test_what_is_given_of_a_car_stays_and_has_no_spread():
+    known = {"lf": 1.1, "stiffness_rear": 7e4, "cg_height": 0.5}
+    _, made, within = completed(**known)
+    assert {name: made[name] for name in known} == known
+    assert made.lr == 1.6
+    assert all(math.isnan(within[name]) for name in known)
+    assert not math.isnan(within.stiffness_front)
+
+
+@pytest.mark.parametrize(("given", "status"), [
+    ({"mass": 599.0}, car.MASS_OUTSIDE), ({"mass": math.nan}, car.MASS_OUTSIDE),
+    ({"wheelbase": 9.0}, car.WHEELBASE_OUTSIDE), ({"load": 2000.0}, car.TOO_MUCH_LOAD),
+    ({"lf": 1.0, "lr": 1.0}, car.AXLES_DISAGREE), ({"lf": 3.0}, car.AXLES_DISAGREE),
+])  # fmt: skip
+def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written(given, status):
+    found, made, within = completed(**given)
+    assert found == status
+    assert {name for name in car.Car._fields if not math.isnan(made[name])} <= {"mass", "lf", "lr"}
+    assert within.said == 0
+
+
+# -- belief -----------------------------------------------------------------------------------------------------------
+def test_each_number_of_the_steering_is_from_the_first_that_says_it():
+    given, own, actuator = (
+        row_of(car.Steering, lag=0.1), row_of(car.Steering, lag=0.2, dead_time=0.07),
+        row_of(car.Steering, lag=0.3, dead_time=0.3, rate=math.inf),
+    )  # fmt: skip
+    found = row_of(belief.Belief)
+    belief.believe_steering(given, own, actuator, 0.05, found)
+    assert (found.lag, found.dead_time, found.computation, found.rate) == (0.1, 0.07, 0.05, math.inf)
+    assert (found.lag_source, found.dead_time_source, found.rate_source, found.limit_source) == (
+        belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.ASSUMED,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("said", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
+def test_a_delay_that_nobody_says_is_as_long_as_published_ones(said):
+    found = row_of(belief.Belief)
+    belief.believe_steering(row_of(car.Steering, **said), row_of(car.Steering), row_of(car.Steering), 0.0, found)
+    longest = max(0.35, sum(said.values()))
+    assert longest <= found.lag + found.dead_time <= longest + 0.05
+    assert found.lag > 0.0
+
+
+def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
+    def caution(lag=0.0, dead_time=0.0, stiffness=1.0, mass=0.0):
+        unsure = row_of(belief.Uncertainty, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass)
+        return belief.caution_of(unsure)
+
+    assert caution() == 1.0
+    assert caution(lag=0.018) == caution(dead_time=0.018) == pytest.approx(2.0)
+    assert caution(lag=0.018 * math.sqrt(0.5), dead_time=0.018 * math.sqrt(0.5)) == pytest.approx(2.0)
+    assert caution(stiffness=1.6, mass=0.25) == pytest.approx(1.6 * 1.25)
+    assert caution(lag=1.0) == 16.0
+
+
+# -- tuning -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("preview", [0, 1])
+def test_horizons_and_weight_are_times_and_so_do_not_know_the_control_period(preview):
+    found = {}
+    for period in (0.025, 0.05, 0.1):
+        world = row_of(tuning.World, period=period, preview=preview, move_weight=0.0, noise_vy=0.1)
+        out = np.zeros(4)
+        tuning.tune_informed(world, 1.0, 1000, 200, out)
+        Np, Nc, Q, R = out
+        found[period] = (Np * period, Nc * period, Q, R * period**2)
+    assert found[0.025] == pytest.approx(found[0.05], rel=1e-5)
+    assert found[0.1] == pytest.approx(found[0.05], rel=1e-5)
+
+
+def test_horizons_stay_within_their_bounds():
+    out = np.zeros(4)
+    for period, expected in ((1e-4, (60, 20)), (10.0, (2, 1))):
+        tuning.tune_informed(row_of(tuning.World, period=period, noise_vy=0.1), 1.0, 60, 20, out)
+        assert tuple(out[:2]) == expected
+
+
+# -- filter -----------------------------------------------------------------------------------------------------------
+def test_the_usual_filter_is_the_one_of_python():
+    numbers = np.zeros(size_of(filter.Filter))
+    filter.usual_filter(numbers)
+    assert numbers.view(filter.Filter.dtype)[0] == KalmanFilter().numbers
+
+
+@pytest.mark.parametrize(("time", "period"), [(0.0, 0.05), (0.15, 0.05), (0.17, 0.05), (0.3, 0.1), (1.0, 0.03)])
+def test_a_dead_time_is_whole_periods_and_a_share(time, period):
+    whole, share = filter.in_periods(time, period)
+    assert isinstance(whole, int)
+    assert 0.0 <= share < 1.0
+    assert (whole + share) * period == pytest.approx(time, abs=1e-9)
+
+
+def test_sensors_that_are_off_or_too_good_are_left_out():
+    def noise(**told):
+        found = row_of(filter.Noise)
+        filter.sensor_noise(row_of(tuning.World, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **told}), found)
+        return found
+
+    assert noise(noise_wheel_angle=0.01).wheel_angle == 0.01
+    assert noise(noise_wheel_angle=0.01, bias_wheel_angle=0.02).wheel_angle == math.inf
+    assert noise(noise_wheel_angle=0.0).wheel_angle == math.inf
+    uniform = np.random.default_rng(1).uniform(-0.02, 0.02, 100_000)
+    assert noise(bias_yaw_rate=0.02).yaw_rate_offset == pytest.approx(uniform.std(), rel=0.01)
+
+
+# -- learner ----------------------------------------------------------------------------------------------------------
+def test_the_usual_method_is_the_one_of_python():
+    numbers = np.zeros(size_of(learner.Method))
+    learner.usual_method(numbers)
+    np.testing.assert_array_equal(numbers, list(Learning().numbers.tolist()))
+
+
+@pytest.mark.parametrize("counts", [(1, 1), (2, 4), (3, 2)], ids=str)
+def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
+    """Mean and variance of what is believed are those of the filters', and the delay's that of the sum."""
+    own = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
+    memory, n = own.fresh(), counts[0] * counts[1]
+    each = [learning.hypothesis(i, own.kept, memory) for i in range(n)]
+    pairs = np.array([[one.x[learning.LAG], one.x[learning.DEAD_TIME] - own.computation] for one in each])
+    grains = np.array([one.covariance[learning.LAG, learning.LAG] for one in each])
+    believed = learning.memory_of(memory, 0).beliefs
+    assert (believed.belief_lag, believed.belief_dead_time) == pytest.approx(tuple(pairs.mean(axis=0)))
+    assert believed.belief_lag_sigma**2 == pytest.approx(pairs[:, 0].var() + grains.mean())
+    assert believed.belief_delay_sigma**2 == pytest.approx(
+        pairs.sum(axis=1).var() + grains.mean() + each[0].covariance[learning.DEAD_TIME, learning.DEAD_TIME]
+    )
+    (least, most), (soon, late) = own.ranges
+    assert ((pairs >= (least, soon)) & (pairs <= (most, late))).all()
+    assert believed.used_lag >= believed.belief_lag
+    assert believed.used_dead_time >= believed.belief_dead_time
+
+
+def test_what_comes_and_goes_keeps_its_spread():
+    """The variance of a first-order Gauss-Markov process stays what it is: drift/(1 - left^2)."""
+    own = at.MPC(SEDAN, learning=Learning(), period=0.02).learner
+    p = learning.parameters_of(own.parameters(), 0)
+    method = own.own
+    assert math.sqrt(p.drift_bank / (1.0 - p.bank_left**2)) == pytest.approx(method.bank, rel=1e-3)
+    assert math.sqrt(p.drift_friction / (1.0 - p.friction_left**2)) == pytest.approx(method.friction_spread, rel=1e-3)
+
+
+def test_what_an_earlier_drive_has_learned_is_where_it_begins():
+    start = LearnedCar(
+        lag=0.15, lag_sigma=0.001, dead_time=0.1, dead_time_sigma=0.001, delay_sigma=0.001, stiffness=1.3,
+        stiffness_sigma=0.01, balance=0.9, balance_sigma=0.01, bias=0.004, bias_sigma=0.001,
+    )  # fmt: skip
+    told_so, new = (at.MPC(SEDAN, learning=Learning(start=each)).learner for each in (start, None))
+    known, fresh = (learning.memory_of(each.fresh(), 0).beliefs for each in (told_so, new))
+    assert (known.belief_lag, known.belief_stiffness) == pytest.approx((0.15, 1.3))
+    assert (known.belief_balance, known.belief_bias) == pytest.approx((0.9, 0.004))
+    assert known.belief_delay_sigma < 0.5 * fresh.belief_delay_sigma
+    assert told_so.parameters().tobytes() == new.parameters().tobytes()  # what may be learned is the same
+
+
+# -- laws -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", list_vehicles())
+def test_the_front_tyres_slip_by_their_share_of_the_weight(name):
+    vehicle = load_vehicle(name)
+    front, _ = vehicle.static_loads  # N, of a wheel
+    slip = at.Stanley(vehicle).parameters()[6]
+    assert slip == pytest.approx(front / GRAVITY / vehicle.stiffness_front, rel=1e-12)
+
+
+@pytest.mark.parametrize("speed", [1.0, 7.0, 60.0])
+def test_the_sampled_error_model_is_the_matrix_exponential(speed):
+    a, b, whole = np.zeros((4, 4)), np.zeros(4), np.zeros((5, 5))
+    laws.lqr_error_model(SEDAN.numbers, speed, a, b)
+    whole[:4, :4], whole[:4, 4] = a, b
+    expected = expm(whole * 0.05)
+    laws.sampled_error_model(SEDAN.numbers, 0.05, speed, a, b)
+    np.testing.assert_allclose(np.column_stack([a, b]), expected[:4], rtol=1e-12, atol=1e-14)
+
+
+def solved(A, B, Q):
+    """P by the kernel, in memory that is longer than it needs."""
+    n = len(B)
+    P, work = np.full((n, n), np.nan), np.full(7 * n * n + 3, UNTOUCHED)
+    doublings = laws.riccati(A, B, Q, P, work)
+    assert (work[7 * n * n :] == UNTOUCHED).all()
+    return doublings, P
+
+
+@pytest.mark.parametrize("n", range(1, 8))
+def test_a_riccati_equation_is_solved_as_by_scipy(n):
+    """Random systems, most of them unstable: residual of the equation, symmetry, SciPy's solution, a stable loop."""
+    rng = np.random.default_rng(n)
+    for _ in range(10):
+        A, B, root = rng.normal(size=(n, n)), rng.normal(size=n), rng.normal(size=(n, n))
+        Q = root @ root.T
+        doublings, P = solved(A, B, Q)
+        assert 0 < doublings < 20
+        scale = np.abs(P).max()
+        gain = (B @ P @ A) / (1.0 + B @ P @ B)
+        residual = A.T @ P @ A - np.outer(A.T @ P @ B, gain) + Q - P
+        assert np.abs(residual).max() < 1e-9 * scale * max(1.0, np.abs(A).max() ** 2)
+        np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-10 * scale)
+        np.testing.assert_allclose(P, solve_discrete_are(A, B[:, None], Q, np.eye(1)), rtol=0, atol=1e-7 * scale)
+        assert max(abs(np.linalg.eigvals(A - np.outer(B, gain)))) < 1.0
+        found = np.zeros(n)
+        laws.lqr_feedback(A, B, P, found)
+        np.testing.assert_allclose(found, gain, rtol=1e-12, atol=1e-14)
+
+
+def test_a_riccati_equation_of_one_state_has_its_closed_form():
+    """p = q + a^2 p/(1 + b^2 p): a quadratic."""
+    for a, b, q in ((0.5, 1.0, 1.0), (2.0, 0.3, 0.1), (1.0, 1e-2, 1e3)):
+        _, P = solved(np.array([[a]]), np.array([b]), np.array([[q]]))
+        half = 1.0 - a * a - b * b * q
+        assert P[0, 0] == pytest.approx((-half + math.sqrt(half * half + 4 * b * b * q)) / (2 * b * b), rel=1e-9)
+
+
+def test_a_system_that_cannot_be_steered_is_a_status():
+    assert solved(np.array([[2.0]]), np.array([0.0]), np.eye(1))[0] == 0
+    assert solved(np.array([[math.nan]]), np.array([1.0]), np.eye(1))[0] == 0
+
+
+@pytest.mark.parametrize("name", ["model-car", "midsize-sedan", "van"])
+def test_the_gains_of_the_lqr_are_those_of_scipy(name):
+    vehicle = load_vehicle(name)
+    own = at.LQR(vehicle, q_e=2.0, q_heading=50.0, r=800.0, period=0.05)
+    grid = own.parameters()[len(laws.lqr.PARAMETERS) :].reshape(laws.SPEEDS, laws.WEIGHTS, laws.WEIGHTS, 4)
+    factors = 10.0 ** np.linspace(-2.0, 2.0, laws.WEIGHTS)
+    for i, j, k in ((0, 4, 4), (10, 4, 4), (20, 4, 4), (10, 0, 8), (5, 8, 0)):
+        a, b = np.zeros((4, 4)), np.zeros(4)
+        laws.sampled_error_model(vehicle.numbers, 0.05, np.geomspace(1.0, 60.0, laws.SPEEDS)[i], a, b)
+        Q = np.diag([2.0 / 800.0 * factors[j], 0.0, 50.0 / 800.0 * factors[k], 0.0])
+        P = solve_discrete_are(a, b[:, None], Q, np.eye(1))
+        np.testing.assert_allclose(grid[i, j, k], (b @ P @ a) / (1.0 + b @ P @ b), rtol=2e-6, atol=1e-9)
+
+
+# -- all of an MPC at once --------------------------------------------------------------------------------------------
+def made(vehicle, options):
+    """What the filter remembers, and all numbers of an MPC, by kernels alone."""
+    order, parts, found = prepared(vehicle, options)
+    assert informed.informed_parts(order, parts) == informed.FINE
+    assert informed.informed_constants(order, parts, found) == informed.FINE
+    for field in ("estimator", "model", "turning", "tuning"):
+        shorter = found._replace(**{field: getattr(found, field)[:-1].copy()})
+        assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
+    return informed.informed_sizes(order, parts)[1], found
+
+
+@pytest.mark.parametrize("name", ["midsize-sedan", "van"])
+@pytest.mark.parametrize("case", CASES)
+def test_the_numbers_of_an_mpc_are_all_there_without_python(name, case):
+    """Every word of each array is written, and is that of the controller that Python makes."""
+    vehicle = load_vehicle(name)
+    remembered, found = made(vehicle, CASES[case])
+    mpc = at.MPC(vehicle, **CASES[case])
+    own = mpc.batch(1, mpc.settings(), curved=True)
+    expected = (mpc.tuning.as_array(), own.parameters, own.states, own.feed.turning, own.informed.estimator,
+                own.informed.learner, own.informed.fresh)  # fmt: skip
+    for field, one, other in zip(found._fields[1:], found[1:], expected, strict=True):
+        assert one.tobytes() == np.ascontiguousarray(other).tobytes(), field
+    assert own.informed.estimates.size == remembered
+    settings = found.settings[0]
+    for field in ("period", "move_min", "move_max", "angle_min", "angle_max", "ahead", "error_max", "preview", "delay",
+                  "informed", "learns"):  # fmt: skip
+        assert settings[field] == getattr(own.settings, field), field
+
+
+def test_a_lag_of_zero_leaves_the_wheel_angle_out():
+    _, found = made(SEDAN, CASES["without lag"])
+    assert found.states.tolist() == [0, 1, 2, 3]
+    assert kalman.parameters_of(found.estimator, 0).variance[4] == math.inf
+
+
+WRONG = [
+    ("car", "mass", math.nan, informed.CAR_WRONG), ("car", "lf", -1.0, informed.CAR_WRONG),
+    ("car", "stiffness_rear", math.inf, informed.CAR_WRONG), ("car", "side_force_slope", math.nan, informed.CAR_WRONG),
+    ("world", "period", 0.0, informed.LOOP_WRONG), ("world", "noise_y", math.inf, informed.LOOP_WRONG),
+    ("world", "computation", math.nan, informed.LOOP_WRONG), ("world", "oldest", math.inf, informed.LOOP_WRONG),
+    ("given", "lag", -0.1, informed.STEERING_WRONG), ("file", "rate", 0.0, informed.STEERING_WRONG),
+    ("actuator", "limit", math.inf, informed.STEERING_WRONG), ("given", "dead_time", math.inf, informed.STEERING_WRONG),
+    ("unsure", "stiffness", math.nan, informed.UNCERTAINTY_WRONG), ("method", "lags", 1e9, informed.METHOD_WRONG),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("section", "name", "value", "status"), WRONG)
+def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written(section, name, value, status):
+    order, parts = ordered(SEDAN, CASES["unsure"])
+    before = parts.tobytes()
+    order[section][name] = value
+    assert informed.informed_parts(order, parts) == status
+    assert parts.tobytes() == before
+
+
+@pytest.mark.parametrize("name", ["paper", "van"])
+def test_the_papers_mpc_has_the_numbers_of_its_table(name):
+    vehicle, room = load_vehicle(name), np.full(7, UNTOUCHED)
+    nothing = np.zeros(0)
+    found = informed.Constants(Settings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing)
+    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.FINE
+    own = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
+    assert found.tuning.tolist() == [35, 8, 10.0, 0.01]
+    assert found.model[:6].tobytes() == own.parameters.tobytes()
+    assert found.model[6] == UNTOUCHED
+    assert found.states.tolist() == own.states.tolist()
+    settings = found.settings[0]
+    assert (settings.move_max, settings.angle_max) == pytest.approx((math.radians(15.0), math.radians(30.0)))
+    assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
+    assert published.published_constants(row_of(car.Car), 0.1, found) == informed.CAR_WRONG
+    assert published.published_constants(vehicle.numbers, math.nan, found) == informed.LOOP_WRONG
