@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import shutil
+import tarfile
 import time
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -14,6 +15,12 @@ import pytest
 from adaptrack.core import library
 
 builder = pytest.importorskip("adaptrack.core.build.library", reason="what builds the library", exc_type=ImportError)
+llvm = pytest.importorskip("llvmlite.binding")
+
+from adaptrack.core.build.exports import EXPORTS, archive, emit_export, shipped  # noqa: E402
+from adaptrack.core.build.objects import undefined  # noqa: E402
+from adaptrack.core.build.rules import violations  # noqa: E402
+
 pytestmark = pytest.mark.compiled
 
 
@@ -32,7 +39,7 @@ def quick(tmp_path, monkeypatch):
     """A folder for the library, and a builder that compiles nothing: its library is "new"."""
     folder = tmp_path / "built"
     folder.mkdir()
-    pool = SimpleNamespace(starmap=lambda function, given, chunksize: [b"new" for _ in given])
+    pool = SimpleNamespace(apply_async=lambda function, given: SimpleNamespace(get=lambda: b"new"))
     monkeypatch.setattr(library, "BUILT", folder)
     monkeypatch.setattr(builder, "kernels_of", lambda rooms: {})
     monkeypatch.setattr(builder, "_module", lambda kernels: "")
@@ -110,3 +117,79 @@ def test_what_is_built_on_a_system_holds_what_its_processor_asks_for(monkeypatch
     monkeypatch.setattr(library.platform, "machine", lambda: machine)
     assert library.processor() in builder.of_this_kind()
     assert set(builder.of_this_kind()) <= set(builder.TARGETS)
+
+
+# -- rules ------------------------------------------------------------------------------------------------------------
+WHOLE, LEFT, OTHER = "_ZN9adaptrack4core5maths4bits5wholeB3v1", "_ZN9adaptrack4bits4left", "_ZN9adaptrack4core4road3far"
+INT = "_ZN5numba7cpython8builtins6ol_intB3v2"
+
+
+def function(name, line):
+    return f"define i32 @{name}(ptr %r, double %x, i64 %n) {{\n  {line}\n  ret i32 0\n}}\n"
+
+
+@pytest.mark.parametrize(("name", "line", "broken"), [
+    (INT, "%1 = fptosi double %x to i64", ""),
+    (WHOLE, f"%1 = call i32 @{INT}(ptr %r, double %x)", ""),
+    (OTHER, f"%1 = call i32 @{INT}(ptr %r, double %x)", "road.far converts a number"),
+    (OTHER, "%1 = fptoui double %x to i64", "road.far converts a number"),
+    (LEFT, "%1 = shl i64 1, %n", ""),
+    (OTHER, "%1 = shl i64 1, %n", "road.far shifts by a number"),
+    (OTHER, "%1 = lshr exact i64 %n, %n", "road.far shifts by a number"),
+    (OTHER, "%1 = ashr i64 %n, 52", ""),
+])  # fmt: skip
+def test_a_kernel_that_converts_or_shifts_without_bounds_is_found(name, line, broken):
+    others = function(INT, "%1 = fptosi double %x to i64") if name != INT else ""
+    found = violations(others + function(name, line))
+    assert len(found) == bool(broken)
+    assert all(broken in each for each in found)
+
+
+def test_a_build_with_a_kernel_that_breaks_a_rule_is_refused(quick, monkeypatch):
+    monkeypatch.setattr(builder, "_module", lambda kernels: function(OTHER, "%1 = shl i64 1, %n"))
+    with pytest.raises(builder.BuildError, match=r"road\.far shifts"):
+        builder.build()
+
+
+# -- what other programs take in --------------------------------------------------------------------------------------
+def test_what_is_packed_is_found_in_the_archive_and_a_damaged_file_is_not(quick, tmp_path):
+    builder.build(exports=["cortex-m7"])
+    packed = archive(tmp_path / "dist")
+    again = packed.read_bytes()
+    assert archive(tmp_path / "dist").read_bytes() == again
+    with tarfile.open(packed) as tar:
+        tar.extractall(tmp_path, filter="data")
+    folder = tmp_path / packed.name.removesuffix(".tar.gz")
+    assert {each.name for each in folder.iterdir()} > {"LICENSE", "manifest.json"}
+    file = library.export_of("cortex-m7", folder)
+    assert file.read_bytes() == b"new"
+    file.write_bytes(b"old")
+    with pytest.raises(ValueError, match="damaged"):
+        library.export_of("cortex-m7", folder)
+    with pytest.raises(LookupError):
+        library.export_of("cortex-m0", folder)
+
+
+def test_a_wheel_holds_objects_for_its_processors_and_for_pages():
+    assert shipped(["x86-64", "x86-64-v3", "x86-64-v4"], portable=True) == ["x86-64", "x86-64-v3", "wasm32"]
+    assert shipped(["x86-64-v4"], portable=False) == ["x86-64-v3"]
+    assert shipped(["aarch64"], portable=False) == ["aarch64"]
+
+
+CALLS = """
+target datalayout = "e"
+target triple = "any"
+declare double @NAME(double)
+define double @adaptrack_kalman(double %x) {
+    %y = call double @NAME(double %x)
+    ret double %y
+}
+"""
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
+    with pytest.raises(builder.BuildError, match=f"exported for {name} calls .*cbrt"):
+        emit_export(CALLS.replace("NAME", "cbrt"), name)
+    if name == "cortex-m7":
+        assert undefined(emit_export(CALLS.replace("NAME", "__aeabi_l2d"), name)) == ["__aeabi_l2d"]

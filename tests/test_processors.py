@@ -24,8 +24,11 @@ from adaptrack.core.maths.values import NAMES
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.drive.batch import Batch
+from adaptrack.road import plan_speed, road_through
 from by_kernels import CASES, prepared
+from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
+from test_export_c import POINTS, calls
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
 HERE = Path(__file__).parent / "processors"
@@ -258,6 +261,42 @@ def test_an_older_processor_of_this_kind_gives_the_same_bits(name, what, images)
         pytest.skip(f"not compiled: {library.BUILD} {name}")
     image, expected = images[what]
     assert same(run(image, ctypes.CDLL(str(built(name)))), expected) == 0
+
+
+# -- microcontrollers -------------------------------------------------------------------------------------------------
+CAR = at.load_vehicle("midsize-sedan")
+SMALL = {
+    "informed": lambda: at.MPC(CAR, profile="road", learning=None),
+    "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
+    "published": lambda: at.published_mpc(CAR),
+}
+
+
+def program(name, count, folder, target=None):
+    way = road_through(POINTS), plan_speed(road_through(POINTS), CAR)
+    return board.Program(SMALL[name](), list(calls(np.random.default_rng(2), count, way[0])), way, folder, target)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("target", board.BOARDS)
+def test_a_microcontroller_gives_the_same_bits_in_its_memory(target, name, tmp_path):
+    if why := board.missing(target):
+        pytest.skip(why)
+    ran = program(name, 600 if target == "cortex-m7" else 30, tmp_path, target).on(target)
+    assert ran.differ == 0
+    assert ran.code < 400_000
+    assert ran.constants < 64_000
+    assert ran.memory < 64_000
+    assert ran.stack < 16_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_no_call_uses_memory_that_was_not_written(name, tmp_path):
+    if shutil.which("valgrind") is None:
+        pytest.skip("valgrind is not installed")
+    program(name, 300, tmp_path).here(under=["valgrind", "--quiet", "--error-exitcode=9"])
 
 
 @pytest.mark.slow

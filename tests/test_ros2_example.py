@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import math
 import re
+import shutil
 import sys
 from dataclasses import asdict
+from functools import partial
 from types import SimpleNamespace as Record
 from xml.etree import ElementTree
 
@@ -17,12 +19,35 @@ import adaptrack as at
 from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_module, path, trajectory
 
 messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
-Follower, Parameters = follower.Follower, follower.Parameters
+Parameters = follower.Parameters
 _X = np.arange(0.0, 400.0)
 ROAD = at.road_through(np.stack([_X, 8.0 * np.sin(_X / 25.0)], axis=-1))
 """Bends to both sides, of 78 m radius at their tightest."""
 STRAIGHT = np.stack([np.arange(100.0), np.zeros(100)], axis=-1)
 CAR = at.load_vehicle("midsize-sedan")
+CPP = PACKAGE.parent / "adaptrack_ros_cpp"
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("controller")
+
+
+@pytest.fixture(params=["python", pytest.param("c++", marks=pytest.mark.compiled)])
+def Follower(request):
+    """What decides in the Python node, and in the C++ node."""
+    if request.param == "python":
+        return follower.Follower
+    module, library = request.getfixturevalue("cpp")
+    return partial(module.CppFollower, library)
+
+
+@pytest.fixture(scope="session")
+def cpp(folder):
+    """How the C++ class is called, and its library."""
+    import ros_cpp
+
+    return ros_cpp, ros_cpp.shim(folder)
 
 
 def test_what_decides_needs_no_ros():
@@ -104,7 +129,7 @@ def test_the_stand_in_stops_when_it_is_told_to():
 class Loop:
     """The stand-in behind the follower: messages are delivered as `late` (s) and `lost` (of a tick) say."""
 
-    def __init__(self, road=ROAD, start=10.0, speed=8.0, **parameters):
+    def __init__(self, Follower, road=ROAD, start=10.0, speed=8.0, **parameters):
         self.road, self.s = road, start
         self.follower = Follower(Parameters(top_speed=8.0, **parameters))
         self.car = stand_in.StandInCar()
@@ -142,8 +167,8 @@ class Loop:
 
 
 @pytest.mark.compiled
-def test_the_car_follows_bends_within_five_centimetres():
-    loop = Loop().drive(20.0)
+def test_the_car_follows_bends_within_five_centimetres(Follower):
+    loop = Loop(Follower).drive(20.0)
     assert loop.furthest < 0.05
     assert not any(command.stopping for command in loop.commands)
     assert loop.s > 150.0
@@ -160,17 +185,17 @@ def test_the_car_follows_bends_within_five_centimetres():
     ],
     ids=["0.15 s late", "overtaking one another", "every fourth lost", "0.2 s lost"],
 )
-def test_late_and_lost_messages_do_not_lose_the_car(channel):
-    loop = Loop().drive(10.0, **channel)
+def test_late_and_lost_messages_do_not_lose_the_car(Follower, channel):
+    loop = Loop(Follower).drive(10.0, **channel)
     assert loop.furthest < 0.05
     assert not any(command.stopping for command in loop.commands[4:])
 
 
 @pytest.mark.compiled
-def test_a_path_that_moves_to_the_next_lane_is_taken_over():
+def test_a_path_that_moves_to_the_next_lane_is_taken_over(Follower):
     points = ROAD.at(_X)
     beside = np.stack([points.x - 1.5 * np.sin(points.heading), points.y + 1.5 * np.cos(points.heading)], axis=-1)
-    loop = Loop().drive(4.0)
+    loop = Loop(Follower).drive(4.0)
     loop.road = at.road_through(beside)
     loop.drive(0.5)
     loop.offset.clear()
@@ -180,9 +205,9 @@ def test_a_path_that_moves_to_the_next_lane_is_taken_over():
 
 
 @pytest.mark.compiled
-def test_a_silence_brings_the_car_to_a_stand_beside_its_path():
+def test_a_silence_brings_the_car_to_a_stand_beside_its_path(Follower):
     """0.3 s after the last odometry: speed 0 at 3 m/s^2, steered on by the estimate; good messages start it again."""
-    loop = Loop().drive(5.0).drive(5.0, lost=lambda k: True)
+    loop = Loop(Follower).drive(5.0).drive(5.0, lost=lambda k: True)
     silent = loop.commands[100:]
     stopping = [bool(command.stopping) for command in silent]
     assert stopping.index(True) == 6  # the last odometry is then 0.35 s old
@@ -197,14 +222,14 @@ def test_a_silence_brings_the_car_to_a_stand_beside_its_path():
 
 
 @pytest.mark.compiled
-def test_the_car_stands_at_the_end_of_its_path():
-    loop = Loop(start=ROAD.length - 40.0).drive(14.0)
+def test_the_car_stands_at_the_end_of_its_path(Follower):
+    loop = Loop(Follower, start=ROAD.length - 40.0).drive(14.0)
     assert loop.car.state[3] < 0.3
     assert ROAD.length - 4.0 < loop.s < ROAD.length + 1.0
 
 
 # -- what is sent when something is wrong -----------------------------------------------------------------------------
-def test_nothing_moves_before_there_is_a_path_and_an_odometry():
+def test_nothing_moves_before_there_is_a_path_and_an_odometry(Follower):
     made = Follower()
     assert made.tick(0.0).stopping == "no path yet"
     made.path(path(STRAIGHT))
@@ -214,7 +239,7 @@ def test_nothing_moves_before_there_is_a_path_and_an_odometry():
 
 
 @pytest.fixture
-def driving():
+def driving(Follower):
     """A follower that has made a step on a straight."""
     made = Follower()
     made.path(path(STRAIGHT))
@@ -233,7 +258,7 @@ def test_the_speed_is_the_planned_one_and_the_offset_of_the_centre_of_mass(drivi
     assert float(values["station (m)"]) == pytest.approx(20.25 + CAR.lr, abs=0.1)
 
 
-def test_a_car_left_of_its_path_is_steered_to_the_right():
+def test_a_car_left_of_its_path_is_steered_to_the_right(Follower):
     made = Follower()
     made.path(path(STRAIGHT))
     made.odometry(odometry(0.0, x=20.0, y=0.5, speed=5.0))
@@ -289,21 +314,21 @@ def test_a_bag_that_begins_again_is_driven_again(driving):
 @pytest.mark.parametrize(
     ("y", "speed", "says"), [(5.0, 5.0, "too far"), (0.0, -1.0, "backwards")], ids=["off the path", "reverse"]
 )
-def test_a_status_that_is_not_good_stops_the_car(y, speed, says):
+def test_a_status_that_is_not_good_stops_the_car(Follower, y, speed, says):
     made = Follower()
     made.path(path(STRAIGHT))
     made.odometry(odometry(0.0, x=20.0, y=y, speed=speed))
     assert says in made.tick(0.0).stopping
 
 
-def test_a_standing_car_is_told_to_start():
+def test_a_standing_car_is_told_to_start(Follower):
     made = Follower()
     made.path(path(STRAIGHT))
     made.odometry(odometry(0.0, x=5.0))
     assert made.tick(0.0)[1:] == (10.0, 1.5, "")
 
 
-def test_speeds_of_the_path_are_driven():
+def test_speeds_of_the_path_are_driven(Follower):
     made = Follower(Parameters(path_message="autoware_planning_msgs/Trajectory"))
     made.path(trajectory(STRAIGHT, np.full(100, 3.0)))
     made.odometry(odometry(0.0, x=20.0, speed=3.0))
@@ -317,14 +342,145 @@ def test_engaging_begins_at_the_angle_of_the_wheels(driving):
     assert driving.tick(0.05) is None
     driving.engage(True, wheel_angle=0.4)
     driving.odometry(odometry(0.1, x=20.5, speed=5.0))
-    ahead = driving.controller().limits.ahead
+    ahead = follower.Follower().controller().limits.ahead
     assert driving.tick(0.1).angle == pytest.approx(0.4, abs=1.01 * ahead)
 
 
 @pytest.mark.parametrize("wrong", [{"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}])
 def test_parameters_that_are_not_possible_are_refused(wrong):
     with pytest.raises(at.InvalidInput):
-        Follower(Parameters(**wrong))
+        follower.Follower(Parameters(**wrong))
+
+
+# -- the C++ node -----------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", ["trajectory", "stamped path"])
+def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
+    """Samples late, lost and overtaking each other, a path that moves, a silence, an engagement."""
+    made = [follower.Follower(), cpp[0].CppFollower(cpp[1])]
+    t, points = 0.2 * np.arange(200.0), np.stack([_X[:200], 8.0 * np.sin(_X[:200] / 25.0)], axis=-1)
+    paths = [points, points + np.array([0.0, 0.4])]
+    rng, sent = np.random.default_rng(1), ([], [])
+    for k in range(160):
+        time = 0.05 * k
+        x = 10.0 + 5.0 * time + rng.normal(0.0, 0.02)
+        y, yaw = 8.0 * np.sin(x / 25.0) + rng.normal(0.0, 0.02), np.arctan(0.32 * np.cos(x / 25.0))
+        message = odometry(time - 0.05 * int(rng.integers(3)), x, y, yaw, 5.0 + rng.normal(0.0, 0.05), 0.0)
+        lost, moved = 60 <= k < 75 or rng.random() < 0.2, paths[int(k >= 100)]
+        for each, commands in zip(made, sent, strict=True):
+            if k % 20 == 0:
+                each.path(trajectory(moved, 4.0 + _X[:200] / 64) if kind == "trajectory" else path(moved, 9.0 + t))
+            if not lost:
+                each.odometry(message)
+            if k in (120, 124):
+                each.engage(k == 124, 0.02)
+            commands.append(each.tick(time))
+    stopped = [command is None or bool(command.stopping) for command in sent[0]]
+    assert 10 < sum(stopped) < 40
+    for ours, theirs in zip(*sent, strict=True):
+        assert (ours is None) == (theirs is None)
+        if ours is not None:
+            assert ours[:3] == theirs[:3]
+            assert bool(ours.stopping) == bool(theirs.stopping)
+
+
+@pytest.mark.compiled
+def test_constants_of_a_file_are_taken_and_damaged_ones_refused(cpp, folder):
+    module, library = cpp
+    constants = (folder / "constants.bin").read_bytes()
+    made = module.CppFollower(library, constants=constants)
+    made.path(path(STRAIGHT))
+    made.odometry(odometry(0.0, x=20.0, speed=5.0))
+    assert not made.tick(0.0).stopping
+    for wrong in (constants[:-1], constants[:40] + bytes([constants[40] ^ 1]) + constants[41:], b"?" * 64):
+        with pytest.raises(at.InvalidInput, match="constants: adaptrack error"):
+            module.CppFollower(library, constants=wrong)
+    with pytest.raises(at.InvalidInput, match="base_ahead"):
+        module.CppFollower(library, Parameters(base_ahead=math.nan))
+
+
+@pytest.mark.compiled
+def test_a_bend_is_planned_within_three_metres_per_second_squared(cpp):
+    """The C++ node's own plan: a half circle of 12 m radius behind a straight, and a stand at its end."""
+    angle = np.linspace(0.0, np.pi, 38)
+    bend = np.stack([40.0 + 12.0 * np.sin(angle), 12.0 - 12.0 * np.cos(angle)], axis=-1)
+    made = cpp[0].CppFollower(cpp[1])
+    made.path(path(np.concatenate([STRAIGHT[:40], bend])))
+    speeds = []
+    for k, s in enumerate(np.arange(0.0, 40.0, 0.25)):
+        made.odometry(odometry(0.05 * k, x=s + CAR.lr, speed=5.0))
+        speeds.append(made.tick(0.05 * k).speed)
+    assert max(speeds) <= 10.0
+    assert speeds[-1] == pytest.approx(math.sqrt(3.0 * 12.0), rel=0.05)
+    assert np.diff(np.square(speeds)).min() > -2.0 * 1.5 * 0.3
+
+
+@pytest.mark.compiled
+def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_have(cpp):
+    """Numbers that are none, far away, clocks that jump, paths of one point, of points twice, that fold back."""
+    rng, made = np.random.default_rng(3), cpp[0].CppFollower(cpp[1])
+    strange = [math.nan, math.inf, -1e300, 1e9, 0.0, -50.0]
+    most, angles, going = follower.Follower().controller().limits.angle[1], [], 0
+    for k in range(3000):
+        time, values = 0.05 * k, {"x": 0.2 * k % 80.0, "y": rng.normal(0.0, 0.1), "speed": 4.0, "rate": 0.0}
+        if rng.random() < 0.2:
+            values[rng.choice(list(values))] = rng.choice(strange)
+        stamp = time + (rng.choice([-9.0, -0.1, 3.0, 1e6]) if rng.random() < 0.1 else 0.0)
+        message = odometry(stamp, **values)
+        if rng.random() < 0.05:
+            message.pose.pose.orientation.w = rng.choice(strange)
+        if rng.random() < 0.9:
+            made.odometry(message)
+        if rng.random() < 0.2:
+            points = STRAIGHT[: rng.integers(101)] + rng.normal(0.0, 0.02, 2)
+            if len(points) and rng.random() < 0.4:
+                points[rng.integers(len(points))] = rng.choice(strange, 2)
+            made.path(path(points, rng.integers(0, 9, len(points)) if rng.random() < 0.1 else None))
+        if rng.random() < 0.02:
+            made.engage(True, rng.choice([*strange, 0.1]))
+        command = made.tick(time + (rng.choice([-5.0, 9.0]) if rng.random() < 0.02 else 0.0))
+        angles.append(command.angle)
+        going += not command.stopping
+        made.diagnosis(time)
+    assert np.isfinite(angles).all()
+    assert np.abs(angles).max() <= most
+    assert going > 300
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
+    """With stand-ins of ament and of the packages that it finds."""
+    if shutil.which("cmake") is None:
+        pytest.skip("no cmake")
+    includes = ";".join(each.removeprefix("-I") for each in cpp[0].includes(folder)[2:])
+    made = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
+    made += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
+    for name in ("ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "nav_msgs", "std_msgs"):
+        said = {"ament_cmake": "macro(ament_package)\nendmacro()", "rclcpp": made}.get(name, f"set({name}_TARGETS)")
+        (tmp_path / f"{name}Config.cmake").write_text(said + "\n")
+    shutil.copytree(CPP, tmp_path / "package")
+    shutil.copytree(
+        folder, tmp_path / "package" / "controller", ignore=shutil.ignore_patterns("*.so", "*.o.d", "node*")
+    )
+    places = "-S", str(tmp_path / "package"), "-B", str(tmp_path / "build"), f"-DCMAKE_PREFIX_PATH={tmp_path}"
+    cpp[0].run("cmake", *places)
+    cpp[0].run("cmake", "--build", str(tmp_path / "build"))
+    assert (tmp_path / "build" / "follower").exists()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("options", [(), ("path_message", "autoware_planning_msgs/Trajectory")])
+def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
+    said = dict(
+        line.split("=", 1) for line in cpp[0].run(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
+    )
+    assert int(said["commands"]) == pytest.approx(80, abs=2)
+    assert (said["frame"], said["level"], said["message"]) == ("base_link", "0", "following")
+    assert float(said["speed"]) > (3.5 if options else 4.5)
+    assert abs(float(said["offset"])) < 0.1  # from 0.3 m
+    assert int(said["stamp"]) in (1003, 1004)
+    assert said["disengaged"] == "0"
 
 
 # -- the package ------------------------------------------------------------------------------------------------------
@@ -344,6 +500,7 @@ def test_the_package_depends_on_what_its_nodes_import():
             elif isinstance(node, ast.ImportFrom):
                 used.add(node.module.split(".")[0])
     ours = {"adaptrack", "adaptrack_ros", "numpy", "autoware_planning_msgs"}  # the last for one parameter only
+    used = {"python3-yaml" if name == "yaml" else name for name in used}
     assert used - ours - set(sys.stdlib_module_names) == declared
 
 
@@ -352,6 +509,31 @@ def test_the_package_says_one_name_and_one_version():
     assert root.findtext("name") == PACKAGE.name == re.search(r'NAME = "(\w+)"', setup)[1]
     assert root.findtext("version") == at.__version__ == re.search(r'version="([\d.]+)"', setup)[1]
     assert (PACKAGE / "resource" / PACKAGE.name).exists()
+
+
+def test_the_cpp_node_has_parameters_of_the_file_with_their_defaults():
+    yaml = pytest.importorskip("yaml")
+    held = yaml.safe_load((PACKAGE / "config" / "follower.yaml").read_text())["adaptrack_follower"]["ros__parameters"]
+    node = (CPP / "src" / "follower_node.cpp").read_text()
+    header = (CPP / "include" / "adaptrack_ros_cpp" / "follower.hpp").read_text()
+    header = header[header.index("struct Parameters") : header.index("struct Sample")]
+    declared = set(re.findall(r'declare_parameter\("(\w+)"', node))
+    assert declared - held.keys() == {"constants"}
+    assert held.keys() - declared == {"vehicle", "profile", "command_delay", "oldest_sample"}  # of the export
+    for name, value in re.findall(r"^    [\w:]+ (\w+) = (.+?);", header, re.MULTILINE):
+        assert yaml.safe_load(value) == held[name], name
+
+
+def test_the_cpp_package_depends_on_what_its_node_includes():
+    root = ElementTree.parse(CPP / "package.xml").getroot()
+    included = set(re.findall(r"#include <(\w+)/", (CPP / "src" / "follower_node.cpp").read_text()))
+    assert included - {"autoware_planning_msgs"} == {each.text for each in root.iter("depend")}
+    assert root.findtext("version") == at.__version__
+    cmake = (CPP / "CMakeLists.txt").read_text()
+    assert f"project({CPP.name} " in cmake
+    assert root.findtext("name") == CPP.name
+    found = set(re.findall(r"find_package\((\w+) REQUIRED\)", cmake))
+    assert found == {each.text for each in (*root.iter("depend"), *root.iter("buildtool_depend"))}
 
 
 @pytest.mark.compiled

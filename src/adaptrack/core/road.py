@@ -264,21 +264,19 @@ def _is_far(s, half, near, road):
 def nearest(x, y, yaw, across, near, road):
     """The arc length of the foot on the whole road of least cost, its distance + across (1 - cos(yaw - heading)).
 
-    across: m, by which a foot may be nearer where the road leads another way; 0: the nearest foot. near: m, only feet
-    within `REACH` of it count, and it is the answer where there is none; NaN: all. A part of the road of a length 2 h
-    is no nearer than its middle less h: parts that may hold the foot are halved down to a stride.
+    across: m, by which a foot may be nearer where the road leads another way; 0: the nearest foot. near: m, only the
+    road within `REACH` of it counts, and it is the answer where that has no foot; NaN: all of it. A part of the road of
+    a length 2 h is no nearer than its middle less h: parts that may hold the foot are halved down to a stride.
     """
     start, pieces, length = road.start, road.pieces, road.numbers[LENGTH]
     least, found = math.inf, 0.0
     first, count = _rows_about(near, road)
     for j in range(first, first + count):
         row = j if j < len(pieces) else j - len(pieces)
-        distance = hypot(pieces[row, X] - x, pieces[row, Y] - y)
-        if distance < least:
-            least, found = distance, start[row] + pieces[row, HALF]
+        distance, middle = hypot(pieces[row, X] - x, pieces[row, Y] - y), start[row] + pieces[row, HALF]
+        if distance < least and not _is_far(middle, 0.0, near, road):
+            least, found = distance, middle
     most, best = least + 2.0 * across + CLOSE + ROUNDING * (abs(x) + abs(y) + least), math.inf
-    if abs(near) < math.inf:  # the nearest part may be too far along the road
-        most = math.inf
     if road.numbers[CLOSED] < 0.5:
         for end, side in ((0.0, 1.0), (length, -1.0)):
             px, py, heading, _ = point_at(end, road)

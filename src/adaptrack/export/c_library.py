@@ -203,6 +203,7 @@ def _config(controller: Controller, block: Block) -> str:
 
 #define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
 #define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
+#define ADAPTRACK_REAR_AXLE {controller.vehicle.lr!r} /* m, from the centre of mass back to the rear axle */
 #define ADAPTRACK_SIZE {64 + block.memory_size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {48 + block.state_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */

@@ -93,7 +93,7 @@ class Road:
     deviation: float = 0.0
     """m, largest distance from a point that the road was fitted to"""
     elements: tuple[Segment, ...] = field(default=(), repr=False)
-    """what the centre line was made of; empty for a line that runs beside elements, as a lane does"""
+    """what the centre line was made of; empty for a line beside elements, as a lane is, and for one through points"""
 
     def __post_init__(self) -> None:
         check_limit(f"road {self.name!r}: length", self.length, ROAD_LENGTH)

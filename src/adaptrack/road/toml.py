@@ -17,7 +17,8 @@
     length = 60.0
     curvature = 0.02
 
-A line beside elements, such as a lane, has no elements of its own: it is written as the polynomials of its pieces.
+A line beside elements, such as a lane, and one through points have no elements: they are written as the polynomials
+of their pieces.
 """
 
 from __future__ import annotations

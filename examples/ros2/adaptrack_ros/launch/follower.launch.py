@@ -11,10 +11,11 @@ TOPICS = {"odom": "odom", "path": "path", "drive": "drive", "wheel_angle": "whee
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Arguments: params_file, stand_in, use_sim_time, and every topic by its own name."""
+    """Arguments: params_file, package, stand_in, use_sim_time, and every topic by its own name."""
     share = get_package_share_directory("adaptrack_ros")
     arguments = [
         DeclareLaunchArgument("params_file", default_value=f"{share}/config/follower.yaml"),
+        DeclareLaunchArgument("package", default_value="adaptrack_ros"),  # adaptrack_ros_cpp: the C++ node
         DeclareLaunchArgument("stand_in", default_value="false"),
         DeclareLaunchArgument("use_sim_time", default_value="false"),
         *(DeclareLaunchArgument(name, default_value=topic) for name, topic in TOPICS.items()),
@@ -22,7 +23,7 @@ def generate_launch_description() -> LaunchDescription:
     remapped = [(name, LaunchConfiguration(name)) for name in TOPICS]
     clock = {"use_sim_time": LaunchConfiguration("use_sim_time")}
     follower = Node(
-        package="adaptrack_ros",
+        package=LaunchConfiguration("package"),
         executable="follower",
         name="adaptrack_follower",
         parameters=[LaunchConfiguration("params_file"), clock],

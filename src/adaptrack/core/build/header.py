@@ -45,11 +45,12 @@ END = """
 def header(kernels: Iterable[Exported]) -> str:
     """The text of the header for these kernels."""
     ordered = sorted(kernels, key=lambda each: (each.function.__module__, each.name))
-    modules = dict.fromkeys(each.function.__module__ for each in ordered)
     records: dict[Any, str] = {}
     for kernel in ordered:
         for kind in kernel.signature.types:
             _collect(kind, records)
+    files = {each.function.__module__ for each in ordered} | {each.__module__ for each in records}
+    modules = dict.fromkeys(sorted(files))
     places = [text for module in modules for text in _enumerations(module)]
     return "\n".join([BEGINNING, *places, *records.values(), *map(_prototype, ordered), END])
 

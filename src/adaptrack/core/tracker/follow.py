@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, void
-from .place import find_on_path, has_path, restart
+from .place import find_on_path, has_path, hint, restart
 from .records import ABSURD, REQUEST, Tracker
 
 
@@ -16,7 +16,8 @@ def tracker_follow(near, tracker):
     begin behind the car, by the age of the oldest samples at least.
     """
     m = tracker.memory[0]
-    m.near, m.due, m.waiting, m.open = near, 0, 0, 0
+    hint(m, near)
+    m.due, m.waiting, m.open = 0, 0, 0
     if m.started == 0:
         return
     if has_path(tracker):

@@ -16,6 +16,7 @@ from .place import (
     forward,
     has_path,
     has_position,
+    hint,
     hold,
     keep_pose,
     leave_out_position,
@@ -58,7 +59,8 @@ def tracker_engage(angle, near, tracker):
         return 0
     m = tracker.memory[0]
     begin_anew(tracker, m, angle)
-    m.near, m.open, m.answered, m.left_out = near, 0, 0, 0
+    hint(m, near)
+    m.open, m.answered, m.left_out = 0, 0, 0
     tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
     tell(m, tracker.tracked)

@@ -9,7 +9,7 @@ from ..kernel import inlined, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
-from .records import ACROSS, HELD, REQUEST, TRACKED, UNKNOWN
+from .records import ACROSS, FURTHEST, HELD, REQUEST, TRACKED, UNKNOWN
 
 Pose = record("Pose", ("x", "y", "yaw"))
 """m, m, rad."""
@@ -84,6 +84,12 @@ def beside(tracker, pose, near):
     """Offset and heading error of a pose, by its foot about an arc length (m)."""
     _, offset, heading, _ = foot_near(pose.x, pose.y, near, line(tracker))
     return Beside(offset, wrapped(pose.yaw - heading) if offset == offset else math.nan)
+
+
+@inlined
+def hint(m, near):
+    """Keep the arc length (m) about which the car is to be found; none where it is none of a path."""
+    m.near = near if abs(near) < FURTHEST else math.nan
 
 
 @inlined

@@ -36,10 +36,20 @@ SHARE_OF_LAST = 0.2
 SPEEDS = 80
 """Control instants for which speeds are expected."""
 
-OK, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, END, SLIDING, REPEATED, NO_TIME = range(10)
-"""What a call was: a new position was used; none, or none to be believed; no position yet or for too long, or no
-solution; the car stands; drives backwards; is far from the path or has no foot on it; is beyond its end; slides; a call
-at the time of the one before, or an earlier one; one without a time. The last two are left out."""
+STATUS = columns(
+    "ok",  # a new position was used
+    "estimated",  # no new position, or none to be believed
+    "held",  # no position yet or for too long, or no solution; stop the car
+    "standing",  # the car stands
+    "reverse",  # it drives backwards
+    "off_path",  # it is far from the path, or has no foot on it; stop it
+    "end",  # it is beyond the end of the path; stop it
+    "sliding",  # it slides
+    "repeated",  # a call at the time of the one before, or an earlier one: left out
+    "no_time",  # a call without a time: left out
+)
+"""What a call was."""
+OK, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, END, SLIDING, REPEATED, NO_TIME = STATUS
 UNKNOWN = -1.0
 """The state of a belief where nothing is learned."""
 
@@ -47,7 +57,7 @@ SETTINGS = record(
     "Settings",
     (
         "period",  # s, control period
-        "angle_min", "angle_max",  # rad, limits of the controller's command; infinite: none
+        "angle_min", "angle_max",  # rad, rad: limits of the controller's command; infinite: none
         "move",  # rad, by which a command goes back at a call while the car turns against its steering
         "furthest",  # m, from the path, beyond which the car is off it
         "late",  # periods that the controller's filter goes through anew; 0: it takes nothing late
@@ -81,17 +91,18 @@ MEMORY = record(
         "fresh",  # 1: a new position is in the measurement
         "speed",  # m/s, last known, NaN: none yet
         "yaw_rate",  # rad/s
-        "x", "y", "yaw",  # m, m, rad, of the car at the present instant
+        "x", "y", "yaw",  # m, m, rad: of the car at the present instant
         "newest",  # s, time of the newest position that was used
         "jumps",  # positions in a row that have jumped
-        "placed_x", "placed_y", "placed_yaw", "placed_t",  # m, m, rad, s, of the last position that was given
-        "station", "heading",  # m, rad, of the car's foot on the path
+        "placed_x", "placed_y", "placed_yaw", "placed_t",  # m, m, rad, s: of the last position that was given
+        "station", "heading",  # m, rad: of the car's foot on the path
         "turned",  # rad, heading of the path at the foot less that of a period ago
-        "offset", "heading_error",  # m, rad, of the car against the path; NaN: there is no foot
+        "offset", "heading_error",  # m, rad: of the car against the path, NaN where it has no foot
         "near",  # m, about which a foot is looked for at the beginning; NaN: on the whole path
-        "given_t", "given_x", "given_y", "given_yaw",  # s, m, m, rad, of the sample at hand as it is used
+        "given_t", "given_x", "given_y", "given_yaw",  # s, m, m, rad: of the sample at hand as it is used
         "given_yaw_rate", "given_vy", "given_lateral_acceleration", "given_wheel_angle",  # rad/s, m/s, m/s^2, rad
-        "belief_state", "belief_at_bound",  # of the controller's last step, see `estimators.learning`; UNKNOWN: none
+        "belief_state",  # of the controller's last step, as in TRACKED
+        "belief_at_bound",  # likewise
     ),
     whole=(
         "started", "instant", "due", "first", "waiting", "open", "status", "left_out", "answered", "fresh", "jumps",
@@ -102,7 +113,7 @@ MEMORY = record(
 SAMPLE = columns(
     "t",  # s, when the sample was taken
     "now",  # s, of the call, on the same clock; NaN: t
-    "x", "y",  # m, of the centre of mass
+    "x", "y",  # m, m: of the centre of mass
     "yaw",  # rad, wrapped or not
     "speed",  # m/s, negative backwards
     "yaw_rate",  # rad/s
@@ -124,7 +135,8 @@ AHEAD = columns(
 ANSWER = columns(
     "command",  # rad; not finite: the last one is held
     "held",  # 1: it is no new one
-    "belief_state", "belief_at_bound",  # see `estimators.learning`; UNKNOWN where nothing is learned
+    "belief_state",  # as in TRACKED
+    "belief_at_bound",  # likewise
 )  # fmt: skip
 """What a controller answers."""
 
@@ -139,11 +151,12 @@ REQUEST = columns(
 
 TRACKED = columns(
     "command",  # rad, angle of the road wheels to ask for, positive to the left
-    "status",  # OK, ...
+    "status",  # see STATUS
     "offset",  # m, of the car from the path, positive to the left; NaN where there is no position to go by
     "heading_error",  # rad, the car's heading less the path's; likewise
     "station",  # m, arc length of the car's foot on the path, over all laps; likewise
-    "belief_state", "belief_at_bound",  # of what the controller learns, see `estimators.learning`; UNKNOWN: nothing
+    "belief_state",  # 0 learning, 1 settled, 2 at a bound, 3 contradictory; -1 where nothing is learned
+    "belief_at_bound",  # 0, or 1 lag, 2 dead time, 3 stiffness, 4 balance, 5 bias: whose belief is at a bound
     "suspect",  # sum of 2^k for each of `input_check.record.MISTAKES` that was found in the inputs
 )  # fmt: skip
 """What a call gives."""

@@ -1,0 +1,107 @@
+// What the node does, without ROS: messages come in when they come, `tick` gives the command of each period.
+#ifndef ADAPTRACK_ROS_CPP_FOLLOWER_HPP
+#define ADAPTRACK_ROS_CPP_FOLLOWER_HPP
+#include "adaptrack.h"
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace adaptrack_ros {
+
+// As in adaptrack_ros/config/follower.yaml; car, sensors and delays are in the exported constants.
+struct Parameters {
+    std::string base_frame = "base_link"; // child frame that the odometry must have
+    double base_ahead = 0.0;              // m, from the centre of the rear axle forwards to the origin of the base frame
+    double top_speed = 10.0;              // m/s, beside what bends allow, and beside the path's speeds where it has some
+    bool stop_at_end = true;              // plan to stand at the end of every path; not where the path has speeds
+    double acceleration = 1.5;            // m/s^2, how fast the speed may be changed
+    double stop_deceleration = 3.0;       // m/s^2, of the safe command
+    double longest_silence = 0.3;         // s, age of the newest odometry from which on the car is stopped
+    double furthest = 3.0;                // m from the path, from which on the car is stopped
+};
+
+// Of the centre of mass: s, m, m, rad, m/s, rad/s.
+struct Sample {
+    double t = NAN, x = NAN, y = NAN, yaw = NAN, speed = NAN, yaw_rate = NAN;
+};
+
+// What is sent.
+struct Command {
+    double angle = 0.0;        // rad, of the road wheels, positive to the left
+    double speed = 0.0;        // m/s
+    double acceleration = 0.0; // m/s^2, > 0, how fast to change to it
+    std::string stopping;      // why it is the safe command; empty when it is not
+};
+
+// For a diagnostic_msgs/DiagnosticStatus.
+struct Diagnosis {
+    enum Level { ok, warn, error };
+    Level level;
+    std::string text;
+    std::vector<std::pair<std::string, std::string>> values;
+};
+
+// Follows the newest path by the newest odometry. Memory is allocated by paths that are longer than those before, and
+// for texts; nothing is while all goes well.
+class Follower {
+  public:
+    // Of exported constants. Throws std::invalid_argument for a parameter that is not possible, std::runtime_error for
+    // constants that are none of this library.
+    Follower(const Parameters &parameters, const void *constants, std::size_t size);
+    Follower(const Follower &) = delete;
+    Follower &operator=(const Follower &) = delete;
+
+    const Parameters parameters;
+    static constexpr double period = ADAPTRACK_PERIOD; // s, between ticks
+    // m, of the base frame ahead of the centre of mass
+    double base_ahead_of_mass() const { return parameters.base_ahead - ADAPTRACK_REAR_AXLE; }
+
+    // An odometry, in whatever order; one that cannot be used is left out, and the diagnostics say why.
+    void odometry(const Sample &sample, const std::string &frame, const std::string &child_frame);
+    // A path through points x, y (m), one behind the other, and speeds (m/s) at them, or none; an empty one stops the
+    // car. One that cannot be driven is refused, the one before is followed on, and the diagnostics say why.
+    void path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame);
+    // Begin to drive from the angle (rad) that the wheels have, or leave the car to somebody else.
+    void engage(bool on, double wheel_angle = 0.0);
+    // The command for now (s, on the clock of the stamps), once per period; none while somebody else drives.
+    const Command *tick(double now);
+    Diagnosis diagnosis(double now) const;
+
+  private:
+    // A path as a road, and the speed along it.
+    struct Planned {
+        std::vector<std::uint64_t> road;
+        std::vector<double> s, speed; // m, m/s
+        adaptrack_plan plan() const { return {s.data(), speed.data(), s.size()}; }
+        double speed_at(double place) const;
+    };
+
+    std::string why_not(Planned &planned, const std::vector<double> &points, const std::vector<double> &speeds) const;
+    void plan_speeds(Planned &planned, const std::vector<double> &points) const;
+    std::string why_blind(double now) const;
+    std::string why_stopped() const;
+    double braking_speed(double now);
+    void stop(std::string why);
+    void go();
+
+    std::vector<std::uint64_t> tracker_;
+    std::array<Planned, 2> paths_; // the one that is followed, and the next one
+    std::size_t followed_ = 0;
+    bool has_path_ = false, halted_ = false, engaged_ = true;
+    std::vector<double> points_, speeds_;
+    std::string path_frame_, odometry_frame_, path_trouble_, odometry_trouble_;
+    std::optional<Sample> fresh_;
+    double newest_ = -std::numeric_limits<double>::infinity(), speed_ = 0.0, braked_ = newest_, angle_ = 0.0;
+    std::optional<adaptrack_answer> answer_;
+    adaptrack_error error_ = ADAPTRACK_OK;
+    Command command_;
+};
+
+} // namespace adaptrack_ros
+#endif

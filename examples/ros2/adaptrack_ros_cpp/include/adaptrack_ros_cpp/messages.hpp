@@ -1,0 +1,104 @@
+// From ROS messages to numbers, and back: any struct with the fields of the message will do.
+//
+// Axes are those of REP 103: x forward, y left, angles positive to the left, SI units, radians.
+#ifndef ADAPTRACK_ROS_CPP_MESSAGES_HPP
+#define ADAPTRACK_ROS_CPP_MESSAGES_HPP
+#include "adaptrack_ros_cpp/follower.hpp"
+
+#include <cmath>
+#include <vector>
+
+namespace adaptrack_ros {
+
+// s of a builtin_interfaces/Time; exact to 0.3 microseconds in this century.
+template <class Time>
+double seconds(const Time &stamp) {
+    return stamp.sec + 1e-9 * stamp.nanosec;
+}
+
+// rad of a quaternion of any length; NaN of one that is 0 or not finite.
+template <class Quaternion>
+double yaw_of(const Quaternion &q) {
+    const double across = 2.0 * (q.w * q.z + q.x * q.y), along = q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z;
+    const double square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w;
+    return square > 0.0 && std::isfinite(square) ? std::atan2(across, along) : NAN;
+}
+
+// The centre of mass in a nav_msgs/Odometry whose child frame lies `ahead` (m) of it. On a rigid body v_x is the same
+// all along the axis of the car, and so is the yaw rate.
+template <class Odometry>
+Sample sample_of(const Odometry &odometry, double ahead) {
+    const auto &pose = odometry.pose.pose;
+    const auto &twist = odometry.twist.twist;
+    const double yaw = yaw_of(pose.orientation);
+    return {seconds(odometry.header.stamp), pose.position.x - ahead * std::cos(yaw),
+            pose.position.y - ahead * std::sin(yaw), yaw, twist.linear.x, twist.angular.z};
+}
+
+// x, y (m) of a nav_msgs/Path's `poses` or an autoware_planning_msgs/Trajectory's `points`, one behind the other.
+template <class Places>
+void points_of(const Places &places, std::vector<double> &points) {
+    points.clear();
+    for (const auto &each : places) {
+        points.push_back(each.pose.position.x);
+        points.push_back(each.pose.position.y);
+    }
+}
+
+// m/s at the points of a nav_msgs/Path that the stamps of its poses ask for, if they grow from pose to pose: they are
+// the times at which the car shall be there. None otherwise.
+template <class Path>
+void speeds_of_path(const Path &path, std::vector<double> &speeds) {
+    const auto &poses = path.poses;
+    speeds.clear();
+    std::vector<double> middle, mean; // of the steps
+    for (std::size_t k = 1; k < poses.size(); k++) {
+        const double before = seconds(poses[k - 1].header.stamp), after = seconds(poses[k].header.stamp);
+        if (!(after > before)) return;
+        const auto &from = poses[k - 1].pose.position, &to = poses[k].pose.position;
+        middle.push_back(0.5 * (after + before));
+        mean.push_back(std::hypot(to.x - from.x, to.y - from.y) / (after - before));
+    }
+    for (std::size_t k = 0; k < poses.size() && !middle.empty(); k++) {
+        if (k == 0 || k == mean.size()) {
+            speeds.push_back(mean[k == 0 ? 0 : k - 1]);
+            continue;
+        }
+        const double slope = (mean[k] - mean[k - 1]) / (middle[k] - middle[k - 1]);
+        speeds.push_back(slope * (seconds(poses[k].header.stamp) - middle[k - 1]) + mean[k - 1]);
+    }
+}
+
+// m/s, of an autoware_planning_msgs/Trajectory.
+template <class Trajectory>
+void speeds_of_trajectory(const Trajectory &trajectory, std::vector<double> &speeds) {
+    speeds.clear();
+    for (const auto &each : trajectory.points) speeds.push_back(each.longitudinal_velocity_mps);
+}
+
+// Write an ackermann_msgs/AckermannDrive. 0 as the steering velocity and the jerk means as quickly as possible: the
+// angles are within the steering's rate already.
+template <class Drive>
+void fill_drive(const Command &command, Drive &drive) {
+    drive.steering_angle = static_cast<float>(command.angle);
+    drive.speed = static_cast<float>(command.speed);
+    drive.acceleration = static_cast<float>(command.acceleration);
+    drive.steering_angle_velocity = drive.jerk = 0.0F;
+}
+
+// Write a diagnostic_msgs/DiagnosticStatus.
+template <class Status>
+void fill_status(const Diagnosis &diagnosis, Status &status) {
+    status.level = static_cast<unsigned char>(diagnosis.level);
+    status.name = "adaptrack: tracker";
+    status.message = diagnosis.text;
+    status.values.clear();
+    for (const auto &[key, value] : diagnosis.values) {
+        status.values.emplace_back();
+        status.values.back().key = key;
+        status.values.back().value = value;
+    }
+}
+
+} // namespace adaptrack_ros
+#endif

@@ -1,0 +1,266 @@
+#include "adaptrack_ros_cpp/follower.hpp"
+
+#include <algorithm>
+#include <cstdio>
+#include <stdexcept>
+
+namespace adaptrack_ros {
+namespace {
+
+constexpr double clock_jump = 2.0; // s: stamps that are older than the newest by more begin anew, as of another bag
+constexpr double lateral = 3.0;    // m/s^2, of planned speeds
+
+template <class... Arguments>
+std::string text_of(const char *format, Arguments... arguments) {
+    std::array<char, 160> text{};
+    std::snprintf(text.data(), text.size(), format, arguments...);
+    return text.data();
+}
+
+bool is_finite(const Sample &each) {
+    return std::isfinite(each.t) && std::isfinite(each.x) && std::isfinite(each.y) && std::isfinite(each.yaw) &&
+           std::isfinite(each.speed) && std::isfinite(each.yaw_rate);
+}
+
+// 1/m, of the circle through three points.
+double curvature_of(const double *a, const double *b, const double *c) {
+    const double ux = b[0] - a[0], uy = b[1] - a[1], vx = c[0] - b[0], vy = c[1] - b[1];
+    const double sides = std::hypot(ux, uy) * std::hypot(vx, vy) * std::hypot(ux + vx, uy + vy);
+    return sides > 0.0 ? 2.0 * std::abs(ux * vy - uy * vx) / sides : 0.0;
+}
+
+const char *status_name(adaptrack_status status) {
+    static constexpr std::array names{"ok",      "estimated", "held",    "standing", "reverse",
+                                      "off-path", "end",      "sliding", "repeated", "no-time"};
+    const auto place = static_cast<std::size_t>(status);
+    return place < names.size() ? names[place] : "";
+}
+
+} // namespace
+
+Follower::Follower(const Parameters &given, const void *constants, std::size_t size) : parameters(given) {
+    for (const auto &[name, value] : {std::pair{"top_speed", given.top_speed}, {"acceleration", given.acceleration},
+                                      {"stop_deceleration", given.stop_deceleration},
+                                      {"longest_silence", given.longest_silence}, {"furthest", given.furthest}})
+        if (!(value > 0.0 && std::isfinite(value)))
+            throw std::invalid_argument(text_of("%s = %g: must be positive and finite.", name, value));
+    if (!std::isfinite(given.base_ahead)) throw std::invalid_argument("base_ahead: must be finite.");
+    tracker_.resize((adaptrack_size(constants, size) + 7) / 8);
+    const adaptrack_error error = adaptrack_init(tracker_.data(), 8 * tracker_.size(), constants, size);
+    if (error != ADAPTRACK_OK) throw std::runtime_error(text_of("constants: adaptrack error %d.", static_cast<int>(error)));
+    stop("no path yet");
+}
+
+// -- what comes in ---------------------------------------------------------------------------------------------------
+void Follower::odometry(const Sample &sample, const std::string &frame, const std::string &child_frame) {
+    const std::string &base = parameters.base_frame;
+    if (!child_frame.empty() && !base.empty() && child_frame != base) {
+        odometry_trouble_ = "its child frame is '" + child_frame + "', and base_frame is '" + base + "'";
+        return;
+    }
+    if (!is_finite(sample)) {
+        odometry_trouble_ = "its numbers must be finite";
+        return;
+    }
+    odometry_trouble_.clear();
+    odometry_frame_ = frame;
+    if (newest_ - clock_jump <= sample.t && sample.t <= newest_) {
+        if (!fresh_ && sample.t < newest_)
+            fresh_ = sample; // overtaken by one that has been used; the filter takes it in where it belongs
+        return;
+    }
+    fresh_ = sample;
+    newest_ = sample.t;
+    speed_ = sample.speed;
+}
+
+void Follower::path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame) {
+    halted_ = points.empty();
+    if (halted_ || (has_path_ && points == points_ && speeds == speeds_ && frame == path_frame_)) return;
+    Planned &next = paths_[1 - followed_];
+    path_trouble_ = why_not(next, points, speeds);
+    if (!path_trouble_.empty()) return;
+    const adaptrack_plan plan = next.plan();
+    adaptrack_error error = has_path_ ? ADAPTRACK_OK : adaptrack_engage(tracker_.data(), angle_, NAN);
+    if (error == ADAPTRACK_OK) error = adaptrack_follow(tracker_.data(), next.road.data(), NAN, &plan);
+    if (error != ADAPTRACK_OK) {
+        path_trouble_ = text_of("adaptrack error %d", static_cast<int>(error));
+        return;
+    }
+    followed_ = 1 - followed_;
+    has_path_ = true;
+    points_ = points;
+    speeds_ = speeds;
+    path_frame_ = frame;
+}
+
+void Follower::engage(bool on, double wheel_angle) {
+    engaged_ = on;
+    if (std::isfinite(wheel_angle)) angle_ = command_.angle = wheel_angle; // else as they were
+    if (on && has_path_) error_ = adaptrack_engage(tracker_.data(), angle_, NAN);
+}
+
+// Why a path cannot be driven; empty when it can, and is written to `planned`.
+std::string Follower::why_not(Planned &planned, const std::vector<double> &points,
+                              const std::vector<double> &speeds) const {
+    const std::size_t count = points.size() / 2;
+    if (!speeds.empty() && speeds.size() != count) return "it needs a speed for each point, or none";
+    for (const double speed : speeds)
+        if (!(speed >= 0.0 && std::isfinite(speed)))
+            return "its speeds must be finite and >= 0 m/s: nothing here drives backwards";
+    std::size_t flaw = 0;
+    adaptrack_error error = ADAPTRACK_TOO_SMALL;
+    std::size_t words = (adaptrack_path_size(points.data(), count, 0) + 7) / 8;
+    for (int round = 0; round < 4 && error == ADAPTRACK_TOO_SMALL; round++, words *= 2) { // sharp bends need more
+        if (planned.road.size() < words) planned.road.resize(words);
+        error = adaptrack_path(points.data(), count, 0, planned.road.data(), 8 * planned.road.size(), &flaw);
+    }
+    if (error != ADAPTRACK_OK)
+        return text_of("point %zu: at least four points, finite, none twice in a row, no kink", flaw);
+    planned.s.assign(1, 0.0);
+    for (std::size_t k = 1; k < count; k++)
+        planned.s.push_back(planned.s.back() +
+                            std::hypot(points[2 * k] - points[2 * k - 2], points[2 * k + 1] - points[2 * k - 1]));
+    const double stretch = adaptrack_path_length(planned.road.data()) / planned.s.back();
+    for (double &each : planned.s) each *= stretch;
+    planned.speed.assign(count, parameters.top_speed);
+    if (speeds.empty())
+        plan_speeds(planned, points);
+    else
+        std::transform(speeds.begin(), speeds.end(), planned.speed.begin(),
+                       [this](double speed) { return std::min(speed, parameters.top_speed); });
+    return {};
+}
+
+// The fastest speeds within `lateral` and `acceleration`: one pass forward, one backward over the square of the speed.
+void Follower::plan_speeds(Planned &planned, const std::vector<double> &points) const {
+    const std::size_t count = planned.s.size();
+    std::vector<double> &w = planned.speed;
+    for (std::size_t k = 0; k < count; k++) {
+        const std::size_t middle = std::min(std::max<std::size_t>(k, 1), count - 2);
+        const double *at = points.data() + 2 * middle;
+        w[k] = std::min(w[k] * w[k], lateral / std::max(curvature_of(at - 2, at, at + 2), 1e-9));
+    }
+    if (parameters.stop_at_end) w.back() = 0.0;
+    const auto gain = [&](std::size_t k) { return 2.0 * parameters.acceleration * (planned.s[k] - planned.s[k - 1]); };
+    for (std::size_t k = 1; k < count; k++) w[k] = std::min(w[k], w[k - 1] + gain(k));
+    for (std::size_t k = count - 1; k > 0; k--) w[k - 1] = std::min(w[k - 1], w[k] + gain(k));
+    for (double &each : w) each = std::sqrt(each);
+}
+
+double Follower::Planned::speed_at(double place) const {
+    const auto after = std::upper_bound(s.begin(), s.end(), place);
+    if (after == s.begin()) return speed.front();
+    if (after == s.end()) return speed.back();
+    const auto k = static_cast<std::size_t>(after - s.begin());
+    const double low = speed[k - 1] * speed[k - 1], high = speed[k] * speed[k];
+    return std::sqrt(low + (high - low) / (s[k] - s[k - 1]) * (place - s[k - 1]));
+}
+
+// -- what goes out ---------------------------------------------------------------------------------------------------
+const Command *Follower::tick(double now) {
+    std::optional<Sample> fresh;
+    std::swap(fresh, fresh_);
+    if (!engaged_) return nullptr;
+    if (!has_path_) {
+        stop("no path yet");
+        return &command_;
+    }
+    std::string why = why_blind(now);
+    adaptrack_sample sample = ADAPTRACK_UNKNOWN;
+    sample.now = now;
+    if (why.empty() && fresh) {
+        sample.t = fresh->t, sample.x = fresh->x, sample.y = fresh->y, sample.yaw = fresh->yaw;
+        sample.speed = fresh->speed, sample.yaw_rate = fresh->yaw_rate;
+    } else {
+        sample.t = now;
+        sample.speed = why.empty() ? speed_ : braking_speed(now);
+    }
+    adaptrack_answer answer{};
+    error_ = adaptrack_step(tracker_.data(), &sample, &answer);
+    if (error_ == ADAPTRACK_OK) {
+        answer_ = answer;
+        if (answer.status == ADAPTRACK_STATUS_REPEATED) return &command_;
+        angle_ = answer.command;
+    }
+    if (why.empty()) why = why_stopped();
+    if (why.empty())
+        go();
+    else
+        stop(std::move(why));
+    return &command_;
+}
+
+// Why the odometry cannot be driven by; empty when it can.
+std::string Follower::why_blind(double now) const {
+    const double age = now - newest_;
+    if (!path_frame_.empty() && !odometry_frame_.empty() && path_frame_ != odometry_frame_)
+        return "the path is in frame '" + path_frame_ + "', the odometry in '" + odometry_frame_ + "'";
+    if (std::isinf(newest_)) return "no odometry yet";
+    if (age < -period) return text_of("the odometry's stamps are %.3g s ahead of this clock", -age);
+    return age > parameters.longest_silence ? text_of("the newest odometry is %.3g s old", age) : std::string();
+}
+
+// Why the car is stopped after a step; empty when it is not.
+std::string Follower::why_stopped() const {
+    if (error_ != ADAPTRACK_OK) return text_of("adaptrack error %d", static_cast<int>(error_));
+    if (answer_->status == ADAPTRACK_STATUS_HELD)
+        return "no position for 3 s, no solution, or a steering of the other sign";
+    if (answer_->status == ADAPTRACK_STATUS_REVERSE) return "the car rolls backwards";
+    if (answer_->status == ADAPTRACK_STATUS_OFF_PATH || std::abs(answer_->offset) > parameters.furthest)
+        return "the car is too far from the path";
+    if (answer_->status == ADAPTRACK_STATUS_END) return "the car is beyond the end of the path";
+    return halted_ ? "the path is empty" : "";
+}
+
+// m/s that a car that obeys has while it is stopped without being noticed.
+double Follower::braking_speed(double now) {
+    if (command_.stopping.empty() || now < braked_) braked_ = now;
+    return std::max(0.0, speed_ - parameters.stop_deceleration * (now - braked_));
+}
+
+void Follower::stop(std::string why) {
+    command_.angle = angle_;
+    command_.speed = 0.0;
+    command_.acceleration = parameters.stop_deceleration;
+    command_.stopping = std::move(why);
+}
+
+// The speed that is planned where the car will be in one period.
+void Follower::go() {
+    const double place = answer_->station + std::max(speed_, 0.0) * period;
+    command_.angle = angle_;
+    command_.speed = std::isfinite(place) ? paths_[followed_].speed_at(place) : 0.0;
+    command_.acceleration = parameters.acceleration;
+    command_.stopping.clear();
+}
+
+Diagnosis Follower::diagnosis(double now) const {
+    Diagnosis found{Diagnosis::ok, "following", {}};
+    const auto number = [&](const char *format, double value) { return answer_ ? text_of(format, value) : std::string(); };
+    found.values = {
+        {"status", answer_ ? status_name(answer_->status) : ""},
+        {"offset (m)", number("%.3f", answer_ ? answer_->offset : 0.0)},
+        {"heading error (rad)", number("%.4f", answer_ ? answer_->heading_error : 0.0)},
+        {"station (m)", number("%.1f", answer_ ? answer_->station : 0.0)},
+        {"age of the odometry (s)", text_of("%.3f", now - newest_)},
+        {"steering angle (rad)", text_of("%.4f", command_.angle)},
+        {"speed (m/s)", text_of("%.2f", command_.speed)},
+    };
+    std::vector<std::string> troubles;
+    if (!odometry_trouble_.empty()) troubles.push_back("odometry left out: " + odometry_trouble_);
+    if (!path_trouble_.empty()) troubles.push_back("path left out: " + path_trouble_);
+    if (answer_ && answer_->suspect != 0)
+        troubles.push_back(text_of("inputs contradict each other: suspect = %lu",
+                                   static_cast<unsigned long>(answer_->suspect)));
+    if (engaged_ && !command_.stopping.empty()) troubles.insert(troubles.begin(), "stopping: " + command_.stopping);
+    std::string all;
+    for (const std::string &each : troubles) all += (all.empty() ? "" : "; ") + each;
+    if (!engaged_)
+        found.text = "not engaged";
+    else if (!all.empty())
+        found.level = command_.stopping.empty() ? Diagnosis::warn : Diagnosis::error, found.text = all;
+    return found;
+}
+
+} // namespace adaptrack_ros

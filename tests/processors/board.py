@@ -1,0 +1,177 @@
+"""An exported tracker on microcontrollers that QEMU emulates: the same bits, code, memory, stack, counted instructions.
+
+``python -m processors.board`` in ``tests`` prints the table of docs/compatibility.md.
+"""
+
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adaptrack.core import library
+from adaptrack.core.controllers.mpc import ANSWER
+from adaptrack.export.c_library import export_c
+from adaptrack.export.tracking import tracking_block
+
+HERE = Path(__file__).parent
+TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc")
+WORDS = 9
+"""of an answer, of which the first four are floats"""
+CONSTANTS = "adaptrack_constants"
+HEADERS = {
+    "math.h": '#define NAN __builtin_nanf("")\n',
+    "string.h": "#include <stddef.h>\nvoid *memcpy(void *, const void *, size_t);\n",
+}
+"""What the sources take of C's library, which is not there."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board of QEMU's: compiler options, and addresses of code, of RAM, of the samples and of a timer."""
+
+    machine: str
+    options: tuple[str, ...]
+    code: int
+    ram: int
+    samples: int
+    timer: int
+
+
+BOARDS = {
+    "cortex-m7": Board(
+        "mps2-an500", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"), 0, 0x20000000, 0x60000000, 0x40000000
+    ),
+    "cortex-m33": Board(
+        "mps2-an505", ("-mcpu=cortex-m33+nofp", "-mfloat-abi=soft"), 0x10000000, 0x38200000, 0x80000000, 0x50000000
+    ),
+}
+
+
+def missing(target):
+    """The first of what it takes that is not there; None: nothing."""
+    for tool in TOOLS:
+        if shutil.which(tool) is None:
+            return f"{tool} is not installed"
+    try:
+        library.export_of(target)
+    except library.UNUSABLE:
+        return f"not compiled: {library.BUILD} --export {target}"
+    return None
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a run on a board gave."""
+
+    differ: int
+    """calls whose answers are not those of this processor, any NaN being one"""
+    instructions: np.ndarray
+    """of each call"""
+    iterations: np.ndarray
+    """of the QP in its last step"""
+    once: tuple[int, int, int]
+    """instructions of init, path, follow"""
+    stack: int
+    """bytes"""
+    code: int
+    """bytes in flash without the constants and what the program itself has"""
+    constants: int
+    memory: int
+    path: int
+
+
+class Program:
+    """An export of a controller with samples, and the program that drives it.
+
+    samples: (calls, 10); way: road and plan; target: a further one, of `BOARDS`.
+    """
+
+    def __init__(self, controller, samples, way, folder, target=None):
+        self.folder, self.count = folder, len(samples)
+        self.made = export_c(controller, folder / "made", targets=[_own(), *([target] if target else [])],
+                             road=way[0], plan=way[1])  # fmt: skip
+        rows = np.full((self.count, 12), np.nan)
+        rows[:, :10] = samples
+        np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
+        own = tracking_block(controller)
+        at = own.words["step.mpc.answer"] + ANSWER.qp_iterations if "step.mpc.answer" in own.words else 0
+        self.given = ["-std=gnu11", "-O2", "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
+                      *[f"-I{self.made.folder}/{each}" for each in (".", "include", "src")], str(HERE / "board.c"),
+                      *map(str, sorted((self.made.folder / "src").glob("*.c")))]  # fmt: skip
+
+    def kernels(self, target):
+        return str(self.made.folder / "lib" / target / "adaptrack_kernels.o")
+
+    def here(self, kernels=None, under=()):
+        """Drive on this machine, with other kernels if given, under another program: answers (calls, WORDS)."""
+        kernels = self.kernels(_own()) if kernels is None else str(kernels)
+        _do(["gcc", "-g", *self.given, "-DHOST", kernels, "-o", "here"], self.folder)
+        _do([*under, str(self.folder / "here"), "samples", "expected"], self.folder)
+        return np.fromfile(self.folder / "expected", np.int64).reshape(-1, WORDS)
+
+    def on(self, target):
+        """Drive on a board and here.
+
+        Raises
+        ------
+        RuntimeError
+            When it does not end well.
+        """
+        expected, board, folder = self.here(), BOARDS[target], self.folder
+        for name, text in HEADERS.items():
+            (folder / name).write_text(text)
+        _do(["arm-none-eabi-gcc", *board.options, *self.given, f"-I{folder}", "-ffreestanding", "-nostdlib",
+             "-fno-tree-loop-distribute-patterns", f"-DTIMER={board.timer:#x}", f"-DSAMPLES={board.samples:#x}",
+             f"-DANSWERS={board.samples + (1 << 23):#x}", self.kernels(target), "-lgcc",
+             f"-Wl,--gc-sections,--defsym=CODE={board.code:#x},--defsym=RAM={board.ram:#x},-T,{HERE / 'board.ld'}",
+             "-Wl,-Map=map", "-o", "program"], folder)  # fmt: skip
+        _do(["qemu-system-arm", "-machine", board.machine, "-nographic", "-monitor", "none", "-serial", "none",
+             "-icount", "shift=6", "-semihosting-config", "enable=on,target=native", "-kernel", "program",
+             "-device", f"loader,file=samples,addr={board.samples:#x},force-raw=on"], folder)  # fmt: skip
+        answers = np.fromfile(folder / "answers", np.int64).reshape(-1, WORDS)
+        counts = np.fromfile(folder / "counts", np.int64)
+        calls = counts[: 2 * self.count].reshape(self.count, 2)
+        instructions, once = ((each * 5 + 4) // 8 for each in (calls[:, 0], counts[-4:-1]))
+        return Ran(
+            differing(expected, answers), instructions, calls[:, 1].copy().view(float), tuple(once.tolist()),
+            int(counts[-1]), _code(folder / "program"), self.made.constants_size, self.made.memory_size,
+            _sizes(folder / "program")["path"],
+        )  # fmt: skip
+
+
+def _own():
+    name = library.processor()
+    return "x86-64-v3" if name == "x86-64-v4" else name
+
+
+def differing(here, there):
+    """How many answers differ."""
+    if here.shape != there.shape:
+        raise RuntimeError(f"{len(there)} answers of {len(here)}")
+    numbers = here[:, :4].copy().view(float), there[:, :4].copy().view(float)
+    unlike = here != there
+    unlike[:, :4] &= ~(np.isnan(numbers[0]) & np.isnan(numbers[1]))
+    return int(unlike.any(axis=1).sum())
+
+
+def _sizes(program):
+    """Bytes of the symbols of a program."""
+    told = subprocess.run(["arm-none-eabi-nm", "-S", str(program)], capture_output=True, text=True, check=True).stdout
+    rows = [row.split() for row in told.splitlines()]
+    return {row[3]: int(row[1], 16) for row in rows if len(row) == 4}
+
+
+def _code(program):
+    """Bytes in flash without the tracker's constants and the recorded path."""
+    told = subprocess.run(["arm-none-eabi-size", "-A", str(program)], capture_output=True, text=True, check=True).stdout
+    sections = {row.split()[0]: int(row.split()[1]) for row in told.splitlines() if row.startswith(".")}
+    data = sum(size for name, size in _sizes(program).items() if name.startswith(("adaptrack_recorded", CONSTANTS)))
+    return sum(sections.get(each, 0) for each in (".text", ".rodata", ".exidx")) - data
+
+
+def _do(command, folder):
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=1200)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: {done.returncode}: {done.stderr}")

@@ -1,0 +1,86 @@
+// Drives the node on stand-ins of rclcpp: a car without slip and a planner, 4 s; prints what came of it.
+#include "ros.hpp"
+
+int node_main(int argc, char **argv);
+
+namespace {
+using rclcpp::network;
+
+builtin_interfaces::msg::Time stamp() { return rclcpp::Time(network.now); }
+
+struct World {
+    double x = 10.0, y = 0.3, yaw = 0.0, speed = 0.0, angle = 0.0;
+    ackermann_msgs::msg::AckermannDriveStamped command;
+    diagnostic_msgs::msg::DiagnosticArray status;
+    int commands = 0;
+
+    void move(double step) {
+        angle += (command.drive.steering_angle - angle) * step / 0.15;
+        speed += std::fmin(std::fmax(command.drive.speed - speed, -command.drive.acceleration * step),
+                           command.drive.acceleration * step);
+        x += step * speed * std::cos(yaw), y += step * speed * std::sin(yaw);
+        yaw += step * speed * std::tan(angle) / 2.7;
+    }
+    void publish_odometry() const {
+        nav_msgs::msg::Odometry message;
+        message.header = {stamp(), "map"};
+        message.child_frame_id = "base_link";
+        message.pose.pose.position = {x, y, 0.0};
+        message.pose.pose.orientation = {0.0, 0.0, std::sin(0.5 * yaw), std::cos(0.5 * yaw)};
+        message.twist.twist.linear.x = speed, message.twist.twist.angular.z = speed * std::tan(angle) / 2.7;
+        network.publish("odom", message);
+    }
+    void publish_path() const {
+        if (network.parameters.count("path_message")) {
+            autoware_planning_msgs::msg::Trajectory message;
+            message.header.frame_id = "map";
+            for (double s = 0.0; s < 90.0; s += 1.0) {
+                message.points.emplace_back();
+                message.points.back().pose.position.x = std::floor(x) - 5.0 + s;
+                message.points.back().longitudinal_velocity_mps = 4.0F;
+            }
+            network.publish("path", message);
+            return;
+        }
+        nav_msgs::msg::Path message;
+        message.header.frame_id = "map";
+        for (double s = 0.0; s < 90.0; s += 1.0) {
+            message.poses.emplace_back();
+            message.poses.back().pose.position.x = std::floor(x) - 5.0 + s;
+        }
+        network.publish("path", message);
+    }
+    void run(double seconds) {
+        for (int k = 0; k < std::lround(seconds / 0.05); k++) {
+            publish_odometry();
+            if (k % 10 == 0) publish_path();
+            network.run(0.05);
+            move(0.05);
+        }
+    }
+    void operator()() {
+        network.listen<ackermann_msgs::msg::AckermannDriveStamped>("drive", [this](const auto &message) {
+            command = *message;
+            commands++;
+        });
+        network.listen<diagnostic_msgs::msg::DiagnosticArray>(
+            "/diagnostics", [this](const auto &message) { status = *message; });
+        run(4.0);
+        std::printf("commands=%d\nspeed=%g\nstamp=%d\nframe=%s\nlevel=%d\nmessage=%s\noffset=%g\n", commands, speed,
+                    command.header.stamp.sec, command.header.frame_id.c_str(), status.status.at(0).level,
+                    status.status.at(0).message.c_str(), y);
+        std_msgs::msg::Bool off;
+        network.publish("engage", off);
+        commands = 0;
+        network.run(0.3);
+        std::printf("disengaged=%d\n", commands);
+    }
+};
+} // namespace
+
+int main(int argc, char **argv) {
+    for (int k = 1; k + 1 < argc; k += 2) network.parameters[argv[k]] = argv[k + 1];
+    World world;
+    network.world = [&world] { world(); };
+    return node_main(argc, argv);
+}

@@ -1,0 +1,152 @@
+"""The C++ node of the ROS 2 example without ROS: its logic behind the interface of the Python one, its shell too."""
+
+import ctypes
+import shutil
+import subprocess
+from functools import cache
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.export.c_library import KERNELS_FILE, list_targets, own_target
+from ros_messages import PACKAGE, package_module
+
+follower, seconds = package_module("follower"), package_module("messages").seconds
+CPP = PACKAGE.parent / "adaptrack_ros_cpp"
+STAND_INS = PACKAGE.parents[2] / "tests" / "ros2"
+HEADERS = (
+    "rclcpp/rclcpp", "nav_msgs/msg/odometry", "nav_msgs/msg/path", "std_msgs/msg/bool",
+    "ackermann_msgs/msg/ackermann_drive_stamped", "diagnostic_msgs/msg/diagnostic_array",
+    "autoware_planning_msgs/msg/trajectory",
+)  # fmt: skip
+STRICT = ("-std=c++17", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+LIMITS = (
+    "top_speed", "acceleration", "stop_deceleration", "longest_silence", "furthest", "base_ahead", "stop_at_end",
+)  # fmt: skip
+
+
+def run(*command):
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@cache
+def controller(folder):
+    """The folder of the exported controller, and the objects of its C sources."""
+    if shutil.which("g++") is None or shutil.which("gcc") is None:
+        pytest.skip("no gcc, g++")
+    if own_target() not in list_targets():
+        pytest.skip("the kernels were built without object files: python -m adaptrack.core.build --export")
+    package_module("export_controller").export(follower.Parameters(), folder)
+    objects = []
+    for source in sorted((folder / "src").glob("*.c")):
+        objects.append(str(folder / f"{source.stem}.o"))
+        run("gcc", "-std=c99", "-O2", "-fPIC", f"-I{folder / 'include'}", "-c", str(source), "-o", objects[-1])
+    return [*objects, str(folder / "lib" / own_target() / KERNELS_FILE)]
+
+
+def includes(folder):
+    """Options under which the sources find their headers; messages and rclcpp are stand-ins."""
+    for name in HEADERS:
+        file = folder / "stand_ins" / f"{name}.hpp"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text('#include "ros.hpp"\n')
+    places = folder / "include", CPP / "include", folder / "stand_ins", STAND_INS
+    return [f"-I{each}" for each in places]
+
+
+@cache
+def shim(folder, *options):
+    """The logic as a library."""
+    parts, made = controller(folder), folder / "follower.so"
+    sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp"
+    run("g++", *(options or STRICT), "-shared", "-fPIC", *includes(folder), *map(str, sources), *parts, "-o", str(made))
+    library = ctypes.CDLL(str(made))
+    library.ros_make.restype = ctypes.c_void_p
+    return library
+
+
+@cache
+def node(folder):
+    """The node as a program, on stand-ins."""
+    parts, made = controller(folder), folder / "node"
+    options = [*STRICT[:1], "-O0", *STRICT[2:], "-DADAPTRACK_WITH_TRAJECTORY", "-Dmain=node_main", *includes(folder)]
+    run("g++", *options, "-c", str(CPP / "src" / "follower_node.cpp"), "-o", str(folder / "node.o"))
+    options.remove("-Dmain=node_main")
+    sources = CPP / "src" / "follower.cpp", STAND_INS / "drive.cpp", folder / "node.o"
+    run("g++", *options, *map(str, sources), *parts, "-o", str(made))
+    return made
+
+
+def numbers(values):
+    return (ctypes.c_double * len(values))(*values)
+
+
+class CppFollower:
+    """The C++ class behind the interface of `adaptrack_ros.follower.Follower`."""
+
+    def __init__(self, library, parameters=None, constants=None):
+        self.parameters, self._library = parameters or follower.Parameters(), library
+        why = ctypes.create_string_buffer(200)
+        limits = numbers([float(getattr(self.parameters, name)) for name in LIMITS])
+        size = ctypes.c_size_t(0 if constants is None else len(constants))
+        self._made = ctypes.c_void_p(library.ros_make(limits, constants, size, why, ctypes.c_size_t(len(why))))
+        if not self._made:
+            raise at.InvalidInput(why.value.decode())
+
+    def __del__(self):
+        self._library.ros_drop(self._made)
+
+    def odometry(self, message):
+        q, place, twist = message.pose.pose.orientation, message.pose.pose.position, message.twist.twist
+        stamp = message.header.stamp
+        values = (
+            stamp.sec + 1e-9 * stamp.nanosec,
+            place.x,
+            place.y,
+            q.x,
+            q.y,
+            q.z,
+            q.w,
+            twist.linear.x,
+            twist.angular.z,
+        )
+        frames = message.header.frame_id.encode(), message.child_frame_id.encode()
+        self._library.ros_odometry(self._made, numbers(values), *frames)
+
+    def path(self, message):
+        if hasattr(message, "points"):
+            rows = [(each.longitudinal_velocity_mps, each.pose) for each in message.points]
+            give = self._library.ros_trajectory
+        else:
+            rows = [(seconds(each.header.stamp), each.pose) for each in message.poses]
+            give = self._library.ros_path
+        flat = [value for first, pose in rows for value in (first, pose.position.x, pose.position.y)]
+        give(self._made, numbers(flat), ctypes.c_size_t(len(rows)), message.header.frame_id.encode())
+
+    def engage(self, on, wheel_angle=0.0):
+        self._library.ros_engage(self._made, int(on), ctypes.c_double(wheel_angle))
+
+    def tick(self, now):
+        command, why = numbers([0.0] * 3), ctypes.create_string_buffer(200)
+        if not self._library.ros_tick(self._made, ctypes.c_double(now), command, why, ctypes.c_size_t(len(why))):
+            return None
+        return follower.Command(*command, why.value.decode())
+
+    def diagnosis(self, now):
+        text = ctypes.create_string_buffer(2000)
+        level = self._library.ros_diagnosis(self._made, ctypes.c_double(now), text, ctypes.c_size_t(len(text)))
+        said, *values = text.value.decode().split("\n")
+        return level, said, dict(each.split("=", 1) for each in values)
+
+    def times(self, points, rounds):
+        """(rounds,) s each: an odometry with its tick, and another path."""
+        rows = np.column_stack([np.zeros(len(points)), points]).ravel()
+        ticks, paths = np.empty(rounds), np.empty(rounds)
+        self._library.ros_time(
+            self._made, numbers(rows), ctypes.c_size_t(len(points)), rounds, ctypes.c_void_p(ticks.ctypes.data),
+            ctypes.c_void_p(paths.ctypes.data),
+        )  # fmt: skip
+        return ticks, paths
