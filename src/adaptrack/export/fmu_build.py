@@ -149,6 +149,8 @@ def build() -> None:
         write_atomically(BUILT / f"fmu-{name}.{system.ending}", content)
         made[name] = {"sha256": hashlib.sha256(content).hexdigest()}
         _say(f"{len(content) // 1000} kB, by {command[0]}", name)
+    if not made:
+        return
     whole = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": made}
     write_atomically(BUILT / MANIFEST, json.dumps(whole, indent=1).encode())
 
