@@ -6,7 +6,6 @@ import os
 import resource
 import shutil
 import tarfile
-import textwrap
 import time
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -20,7 +19,7 @@ llvm = pytest.importorskip("llvmlite.binding")
 
 from adaptrack.core.build.exports import EXPORTS, archive, emit_export, shipped  # noqa: E402
 from adaptrack.core.build.objects import undefined  # noqa: E402
-from adaptrack.core.build.rules import unwritten, violations  # noqa: E402
+from adaptrack.core.build.rules import violations  # noqa: E402
 
 pytestmark = pytest.mark.compiled
 
@@ -144,25 +143,6 @@ def test_a_kernel_that_converts_or_shifts_without_bounds_is_found(name, line, br
     found = violations(others + function(name, line))
     assert len(found) == bool(broken)
     assert all(broken in each for each in found)
-
-
-def test_a_kernel_that_uses_what_was_not_written_is_found():
-    text = textwrap.dedent("""
-        target datalayout = "e"
-        target triple = "any"
-        define double @adaptrack_read(double %y) {
-            %place = alloca double
-            store double 1.0, ptr %place
-            %x = load double, ptr %place
-            %z = fadd double %x, %y
-            ret double %z
-        }
-    """)
-    machine, text = builder.retargeted(text, EXPORTS["cortex-m7"].target, "static")
-    for whole, count in ((text, 0), (text.replace("store double 1.0, ptr %place", ""), 1)):
-        module = llvm.parse_assembly(whole)
-        builder.optimised(module, machine, speed=1, vectors=False)
-        assert len(unwritten(str(module))) == count
 
 
 def test_a_build_with_a_kernel_that_breaks_a_rule_is_refused(quick, monkeypatch):

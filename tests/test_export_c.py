@@ -44,6 +44,9 @@ CONTROLLERS = {
     "pure-pursuit": lambda: at.PurePursuit(CAR),
 }
 
+EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "3000"))
+"""Calls of each controller in the long comparisons."""
+
 
 class Sample(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_double) for name in (
@@ -262,8 +265,8 @@ def test_every_step_is_that_of_python(name, library_of, way, caplog):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_twenty_thousand_steps_are_those_of_python(name, library_of, way, caplog):
-    assert compared(library_of, way, name, 20_000, seed=1) == 0
+def test_thousands_of_steps_are_those_of_python(name, library_of, way, caplog):
+    assert compared(library_of, way, name, EACH, seed=1) == 0
 
 
 @pytest.mark.slow
@@ -573,6 +576,23 @@ def test_a_target_that_is_not_there_is_refused_before_anything_is_written(tmp_pa
     assert not (tmp_path / "out").exists()
 
 
+def test_what_a_controller_has_learned_travels(library_of):
+    from adaptrack.export.tracking import tracking_block
+
+    mpc = CONTROLLERS["learning"]()
+    before = tracking_block(mpc)
+    for k in range(200):
+        mpc.step([0.0, 0.0, 0.02 * math.sin(k / 9), 0.1 * math.sin(k / 20)], 15.0, np.zeros(1))
+    after = tracking_block(mpc)
+    assert after.header.layout == before.header.layout
+    assert after.checksum != before.checksum
+    tracker = CTracker(library_of("learning"))
+    assert tracker.load(after.content) == exported.OK
+    first = tracker.MARGIN + 8 + after.words["step.mpc.informed.learned"]
+    learned = mpc.learner.again(mpc._mpc.informed.learned[0])
+    assert tracker.raw[first : first + learned.size].tobytes() == learned.tobytes()
+
+
 def test_room_is_bounded_by_tuning_and_controller():
     from adaptrack.export.tracking import tracking_block
 
@@ -600,8 +620,6 @@ EMULATED = {
     "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
     "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64"),
 }
-EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "2000"))
-"""Calls of each controller."""
 
 
 @pytest.mark.slow

@@ -1,8 +1,10 @@
 """Car and controller as FMUs: driven by FMPy, they are those of `simulate` and of `Tracker`, to the bit."""
 
+import json
 import math
 import shutil
 import subprocess
+import sys
 import zipfile
 import zlib
 from functools import cache
@@ -13,6 +15,7 @@ import pytest
 
 import adaptrack as at
 import adaptrack.export
+from adaptrack import cli
 from adaptrack.core.kernel import Resident
 from adaptrack.core.units import car as kernel
 from adaptrack.export import fmu_build
@@ -208,6 +211,22 @@ def test_both_orders_of_the_exchange_drive_alike_to_the_bit(folder):
     assert same(drive(folder, "stanley"), drive(folder, "stanley", parallel=True))
 
 
+def test_the_two_drive_a_planned_road_by_themselves(folder):
+    driver = at.Driver()
+    own = car(folder, "3.0", country(), "road", driver, 0.05)
+    path = folder / "alone.fmu"
+    unit = controller_unit(controller_of("informed"), country().road, country().plan, speed_preview=driver.preview)
+    body, mind = Instance(own, folder), Instance(write_fmu(unit, path), folder, wheel_angle_known=True)
+    assert mind.get("planned_speed") == country().plan.speed[0]
+    for _ in range(120):
+        mind.step(**{name: body.get(output) for name, output in SAMPLES.items()})
+        command, speed, ahead = mind.get("command", "planned_speed", "planned_speed_ahead")
+        body.step(command=command, speed=speed, speed_ahead=ahead)
+        assert abs(body.get("offset")) < 0.3
+    assert speed == pytest.approx(country().plan.at(mind.get("station")), rel=1e-12)
+    assert body.get("vx") == pytest.approx(speed, abs=0.5)
+
+
 def test_both_versions_drive_alike_to_the_bit(folder):
     assert same(drive(folder, "informed"), drive(folder, "informed", version="2.0"))
 
@@ -359,3 +378,16 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     expected = unit.record.values[kernel.VALUE.measured_x : kernel.VALUE.ended]
     bits = [0 if math.isnan(each) else int(np.float64(each).view(np.uint64)) for each in expected]
     assert [int(each, 16) for each in done.stdout.split()] == bits
+
+
+def test_the_command_writes_both(folder, monkeypatch, capsys):
+    given = ["export", "fmu", "--road", "country", "--road-seed", "3", "--fmi", "2.0", "--out", str(folder), "--json"]
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *given])
+    assert cli.main() == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["fmi"] == "2.0"
+    for file in said["files"]:
+        assert b'fmiVersion="2.0"' in zipfile.ZipFile(file).read("modelDescription.xml")
+    again = at.export_fmu(PLANT, folder / "again.fmu", country(), profile="road")
+    other = at.export_fmu(PLANT, folder / "other.fmu", country(), profile="road")
+    assert again.read_bytes() == other.read_bytes()

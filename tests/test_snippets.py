@@ -63,7 +63,10 @@ LONG_SNIPPETS = {
 EXIT_CODES = {"manoeuvre sine-with-dwell": 1}
 """Of commands whose result is not a success, by how they begin: the plants have no stability control."""
 
-NEEDED = {"gymnasium.md": ("gymnasium", "needs Gymnasium: pip install 'adaptrack[gym]'")}
+NEEDED = {
+    "gymnasium.md": ("gymnasium", "needs Gymnasium: pip install 'adaptrack[gym]'"),
+    "fmu.md": ("fmpy", "needs FMPy: pip install fmpy"),
+}
 """Pages that are skipped without a package of an extra."""
 
 OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run")

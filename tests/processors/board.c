@@ -3,7 +3,7 @@
 
    Samples (argument, or at SAMPLES in memory): count, words of a path, then 12 doubles a call. Written, to `answers`
    here and through the debugger there: of each call 9 words (command, offset, heading error, station, status, belief,
-   at bound, suspect, error); on the microcontroller to `counts` as well: instructions and iterations of the QP of each
+   at bound, suspect, error); on the microcontroller to `counts` as well: ticks (8/5 of an instruction) and iterations of the QP of each
    call, then those of init, path and follow, and bytes of stack. */
 #include "adaptrack.h"
 #include "adaptrack_recorded.h"
@@ -62,9 +62,8 @@ int main(int count, char **names) {
 }
 #else
 #define REGISTER(address) (*(volatile uint32_t *)(address))
-static uint32_t counted(void) { /* a timer of 25 MHz; `-icount shift=6` makes an instruction 64 ns: 1.6 ticks */
-    return (uint32_t)(((uint64_t)(0xffffffffu - REGISTER(TIMER + 4)) * 5u + 4u) / 8u);
-}
+/* ticks of a timer of 25 MHz; `-icount shift=6` makes an instruction 64 ns: 1.6 ticks */
+static uint32_t counted(void) { return 0xffffffffu - REGISTER(TIMER + 4); }
 extern uint32_t stack_end[], stack_begin[], data_begin[], data_end[], data_load[], bss_begin[], bss_end[];
 static intptr_t semihosting(intptr_t what, const void *with) {
     register intptr_t r0 __asm__("r0") = what;

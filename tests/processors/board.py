@@ -133,8 +133,9 @@ class Program:
         answers = np.fromfile(folder / "answers", np.int64).reshape(-1, WORDS)
         counts = np.fromfile(folder / "counts", np.int64)
         calls = counts[: 2 * self.count].reshape(self.count, 2)
+        instructions, once = ((each * 5 + 4) // 8 for each in (calls[:, 0], counts[-4:-1]))
         return Ran(
-            differing(expected, answers), calls[:, 0], calls[:, 1].copy().view(float), tuple(counts[-4:-1].tolist()),
+            differing(expected, answers), instructions, calls[:, 1].copy().view(float), tuple(once.tolist()),
             int(counts[-1]), _code(folder / "program"), self.made.constants_size, self.made.memory_size,
             _sizes(folder / "program")["path"],
         )  # fmt: skip

@@ -44,7 +44,7 @@ def export_fmu(given: FMUOptions) -> None:
     They need neither Python nor this package, and no compiler here.
     """
     from adaptrack.drive.world import Driver
-    from adaptrack.export.fmu import write_fmu
+    from adaptrack.export.fmu import binaries, write_fmu
     from adaptrack.export.units import car_unit, controller_unit
     from adaptrack.scenario import RoadDrive
     from adaptrack.scenario.profile import load_profile
@@ -52,19 +52,24 @@ def export_fmu(given: FMUOptions) -> None:
     car, plant = given.which.car.load()
     world = load_profile(given.which.profile)
     controller = given.which.make(car, world)
-    options.make_folder(given.out)
     seeds = None if given.road_seed is None else [given.road_seed]
     checked = roads.RoadOptions(speed=given.speed, road_seed=seeds).look(given.road, car, world)
     route = RoadDrive(checked.road, checked.plan)
     driver = Driver() if given.driver else None
     units = (
-        controller_unit(controller, checked.road, checked.plan),
+        controller_unit(
+            controller, checked.road, checked.plan, speed_preview=None if driver is None else driver.preview
+        ),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )
+    systems = list(binaries())
+    options.make_folder(given.out)
     made = [write_fmu(each, given.out / f"{each.name}.fmu", given.fmi.value) for each in units]
     if given.as_json:
-        show.say_json({"files": [str(each) for each in made], "fmi": given.fmi, "period": controller.period})
+        show.say_json(
+            {"files": [str(each) for each in made], "fmi": given.fmi, "period": controller.period, "systems": systems}
+        )
         return
+    show.say(f"FMI {given.fmi.value}, for {' and '.join(systems)}, a step is {controller.period:g} s")
     for unit, file in zip(units, made, strict=True):
-        size = file.stat().st_size
-        show.say(f"{file}: {unit.title}, FMI {given.fmi.value}, a step is {unit.period:g} s, {size:,} bytes")
+        show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")

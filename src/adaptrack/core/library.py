@@ -84,20 +84,21 @@ def manifest() -> dict[str, Any]:
     return dict(json.loads((BUILT / MANIFEST).read_text(encoding="utf-8")))
 
 
-def export_of(target: str, folder: Path = BUILT) -> Path:
+def export_of(target: str, folder: Path | None = None) -> Path:
     """The object file for a target that other programs take in; folder: also of an archive that `make targets` packs.
 
     Raises one of `UNUSABLE` where it is not there, is damaged or is of other kernels than these.
     """
+    folder = folder or BUILT
     listed = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     if listed["sources"] != source_hashes():
         raise ValueError(f"{folder}: is of other kernels than {kernels_hash()}")
     return whole(listed["exports"][target], folder)
 
 
-def whole(entry: dict[str, str], folder: Path = BUILT) -> Path:
+def whole(entry: dict[str, str], folder: Path | None = None) -> Path:
     """The file of a library of the manifest, proved to be as it was built."""
-    path = folder / entry["file"]
+    path = (folder or BUILT) / entry["file"]
     if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
         raise ValueError(f"{path}: is not what was built: damaged, cut short or of another build")
     return path

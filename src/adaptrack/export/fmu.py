@@ -49,6 +49,7 @@ _BASE_UNITS = {
 }  # fmt: skip
 _TYPES = {"2.0": {REAL: "Real", WHOLE: "Integer", TRUTH: "Boolean"},
           "3.0": {REAL: "Float64", WHOLE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
+REMEDY = f"run: {library.BUILD} --export windows-x86-64-v3; python -m {fmu_build.__name__}"
 _LARGEST_INTEGER = 2.0**31 - 1
 _DATE = (1980, 1, 1, 0, 0, 0)
 """Of the files in an archive, so that the same unit gives the same bytes."""
@@ -111,6 +112,7 @@ def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", 
         **{f"sources/{each.name}": each.read_bytes() for each in fmu_build.SOURCES},
         "sources/units.c": fmu_build.units_header().encode(),
         "documentation/index.html": _page(unit).encode(),
+        "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
     }
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -141,19 +143,29 @@ def constants(unit: Unit) -> Block:
 
 def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
     """Places and contents of the shared libraries."""
-    remedy = f"run: python -m {fmu_build.__name__}"
-    try:
-        built: dict[str, Any] = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InvalidInput(f"export fmu: there are no binaries for FMUs in this installation; {remedy}") from None
-    if built["kernels"] != library.kernels_hash() or built["sources"] != fmu_build.sources_hash():
-        raise InvalidInput(f"export fmu: sources have been edited since the binaries for FMUs were built; {remedy}")
-    for system, entry in built["binaries"].items():
+    for system, entry in binaries().items():
         own = fmu_build.SYSTEMS[system]
         content = (fmu_build.BUILT / f"fmu-{system}.{own.ending}").read_bytes()
         if hashlib.sha256(content).hexdigest() != entry["sha256"]:
-            raise InvalidInput(f"export fmu: fmu-{system}.{own.ending} is damaged; {remedy}")
+            raise InvalidInput(f"export fmu: fmu-{system}.{own.ending} is damaged; {REMEDY}")
         yield f"binaries/{own.folders[VERSIONS.index(version)]}/{name}.{own.ending}", content
+
+
+def binaries() -> dict[str, Any]:
+    """The systems for which this installation has binaries, with their entries.
+
+    Raises
+    ------
+    InvalidInput
+        When there are none of these kernels.
+    """
+    try:
+        built: dict[str, Any] = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise InvalidInput(f"export fmu: there are no binaries for FMUs in this installation; {REMEDY}") from None
+    if built["kernels"] != library.kernels_hash() or built["sources"] != fmu_build.sources_hash():
+        raise InvalidInput(f"export fmu: sources have been edited since the binaries for FMUs were built; {REMEDY}")
+    return dict(built["binaries"])
 
 
 # -- the description --------------------------------------------------------------------------------------------------

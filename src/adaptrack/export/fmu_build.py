@@ -30,6 +30,7 @@ SOURCES = (
     *(HERE / "fmu_c" / each for each in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
     *(HERE / "c" / each for each in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
+LICENSE = HERE / "c" / "LICENSE"
 MEMBERS = (
     "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
     *PLANTS,
@@ -148,6 +149,8 @@ def build() -> None:
         write_atomically(BUILT / f"fmu-{name}.{system.ending}", content)
         made[name] = {"sha256": hashlib.sha256(content).hexdigest()}
         _say(f"{len(content) // 1000} kB, by {command[0]}", name)
+    if not made:
+        return
     whole = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": made}
     write_atomically(BUILT / MANIFEST, json.dumps(whole, indent=1).encode())
 

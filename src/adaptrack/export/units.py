@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Bound, Positive, checked
+from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import MPC, Controller
@@ -152,11 +152,17 @@ def car_unit(
 
 @checked
 def controller_unit(
-    made: Controller, path: Road, plan: SpeedPlan | None = None, *, furthest: Annotated[Bound, "m"] = 10.0
+    made: Controller,
+    path: Road,
+    plan: SpeedPlan | None = None,
+    *,
+    furthest: Annotated[Bound, "m"] = 10.0,
+    speed_preview: Annotated[NotNegative, "s"] | None = None,
 ) -> Unit:
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
-    plan, furthest: as of `Tracker`. What the controller has learned so far travels along; it stays as it is.
+    plan, furthest: as of `Tracker`; speed_preview: how far ahead the driven car needs its planned speed, by default a
+    period. What the controller has learned so far travels along; it stays as it is.
 
     Raises
     ------
@@ -165,10 +171,13 @@ def controller_unit(
     """
     refuse(made)
     tracking = small_record_of(made, path, plan, furthest)
+    first = 0.0 if plan is None else float(plan.speed[0])
+    ahead = made.period if speed_preview is None else speed_preview
     expected = made.model.dead_time if isinstance(made, MPC) else 0.0
     starts = {
         "period": (made.period,), "expected_delay": (expected,), "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
-        "pose_known": (1.0,), "yaw_rate_known": (1.0,),
+        "speed_preview": (ahead, 0.0, 10.0), "pose_known": (1.0,), "yaw_rate_known": (1.0,),
+        **dict.fromkeys(("planned_speed", "planned_speed_ahead"), (first,)),
     }  # fmt: skip
     groups = {
         CONSTANT: controller.CONSTANTS, PARAMETER: controller.PARAMETERS, INPUT: controller.INPUTS,

@@ -22,7 +22,7 @@ import llvmlite.binding as llvm
 from .. import library
 from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted
 from .objects import undefined
-from .rules import plain, unwritten
+from .rules import plain
 from .units import PLANTS, UNITS
 
 KERNELS = (
@@ -42,12 +42,14 @@ KERNELS = (
 class Exported:
     """How a target is exported.
 
-    compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names.
+    compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names;
+    kernels: those that are global.
     """
 
     target: Target
     compact: bool = False
     calls: tuple[str, ...] = ()
+    kernels: tuple[str, ...] = KERNELS
 
 
 _WHOLE_NUMBERS = ("__aeabi_d2lz", "__aeabi_l2d", "__aeabi_ul2d", "__aeabi_ldivmod", "__aeabi_uldivmod")
@@ -59,14 +61,21 @@ _DOUBLES = (
 )  # fmt: skip
 """IEEE arithmetic in software (Run-time ABI for the Arm Architecture, section 5.1)."""
 
+_FMUS = {name: (*KERNELS, *PLANTS, *sum(UNITS.values(), ())) for name in ("x86-64-v3", "windows-x86-64-v3")}
+"""The targets that FMUs have a binary for, and what these call."""
+_HOSTED = ("x86-64", "x86-64-v3", "aarch64", "riscv64", "wasm32", "windows-x86-64", "windows-x86-64-v3",
+           "macos-aarch64", "macos-x86-64", "macos-x86-64-v3")  # fmt: skip
+
+
+def _exported(name: str) -> Exported:
+    target = TARGETS[name]
+    if "windows" in name:  # the same ABI, but a function that needs a large stack asks for it by a name we may choose
+        target = replace(target, triple="x86_64-pc-windows-gnu")
+    return Exported(target, kernels=_FMUS.get(name, KERNELS))
+
+
 EXPORTS = {
-    **{name: Exported(TARGETS[name]) for name in ("x86-64", "x86-64-v3", "aarch64", "riscv64", "wasm32")},
-    # the ABI is the same, but a function that asks for a large stack does so by a name that can be chosen
-    **{
-        name: Exported(replace(TARGETS[name], triple="x86_64-pc-windows-gnu"))
-        for name in ("windows-x86-64", "windows-x86-64-v3")
-    },
-    **{name: Exported(TARGETS[name]) for name in ("macos-aarch64", "macos-x86-64", "macos-x86-64-v3")},
+    **{name: _exported(name) for name in _HOSTED},
     "cortex-m7": Exported(Target("thumbv7em-unknown-none-eabihf", "cortex-m7"), True, _WHOLE_NUMBERS),
     "cortex-m33": Exported(
         Target("thumbv8m.main-unknown-none-eabi", "cortex-m33", "-fpregs", tuple(SOFT)), True, _WHOLE_NUMBERS + _DOUBLES
@@ -104,17 +113,14 @@ def archive(folder: Path) -> Path:
 def emit_export(text: str, name: str) -> bytes:
     """The object file for a target, of a module of all kernels.
 
-    Raises BuildError where it calls what it may not, or uses memory that was not written.
+    Raises BuildError where it calls what it may not.
     """
     chosen = EXPORTS[name]
     target = chosen.target
     machine, text = retargeted(text, target, "pic" if _hosted(target) else "static")
-    module = _of_these(text, target, chosen.compact, machine)
+    module = _of_these(text, chosen, machine)
     optimised(module, machine, speed=2 if chosen.compact else 3, vectors=not chosen.compact)
-    made = str(module)
-    if chosen.compact and (found := unwritten(made)):
-        raise BuildError("\n".join(found))
-    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(made, target))))
+    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(str(module), target))))
     left = [each for each in undefined(content) if each not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
@@ -125,9 +131,10 @@ def _hosted(target: Target) -> bool:
     return not re.search("none|wasm", target.triple)
 
 
-def _of_these(text: str, target: Target, compact: bool, machine: Any) -> Any:
-    """The module of `KERNELS` and what they call, ready to be optimised."""
-    if compact:
+def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
+    """The module of the kernels and what they call, ready to be optimised."""
+    target = chosen.target
+    if chosen.compact:
         text = text.replace(" alwaysinline", " nounwind")
     text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
     text += "".join(f"declare double @adaptrack_soft_{each}({', '.join(['double'] * SOFT[each])})\n"
@@ -140,15 +147,13 @@ def _of_these(text: str, target: Target, compact: bool, machine: Any) -> Any:
         kept = ", ".join(f"ptr @{each}" for each in target.lacks)
         text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept}]"
         text += ', section "llvm.metadata"\n'
-    attributes = '"no-builtins" "no-jump-tables"="true" nounwind' + (" optsize" if compact else "")
+    attributes = '"no-builtins" "no-jump-tables"="true" nounwind' + (" optsize" if chosen.compact else "")
     if "windows" in target.triple:
         attributes += ' "probe-stack"="adaptrack_grow_stack"'
         text += re.sub(r"module asm \"\.globl.*\n", "", WINDOWS.split("@_fltused")[0]).replace(
             "__chkstk", "adaptrack_grow_stack")  # fmt: skip
     module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", rf"\1 {attributes} {{", text, flags=re.MULTILINE))
-    units = target.cpu == "x86-64-v3"  # the others have no FMUs
-    kernels = (*KERNELS, *(sum(UNITS.values(), ()) + PLANTS if units else ()))
-    names = {f"adaptrack_{each}" for each in kernels}
+    names = {f"adaptrack_{each}" for each in chosen.kernels}
     for function in module.functions:
         if not function.is_declaration:
             function.linkage = "external" if function.name in names else "internal"

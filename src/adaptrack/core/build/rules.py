@@ -1,8 +1,9 @@
 """What no kernel may do, as each processor does it differently: looked for in LLVM's text of all of them.
 
 * convert a number to an integer that may not hold it: only `maths.bits.whole` converts, which bounds it first;
-* shift by more than the width: by a number that is not written out only `maths.bits.left` and `right` shift;
-* use memory that was not written: LLVM writes ``undef`` or ``poison`` where it sees that.
+* shift by more than the width: by a number that is not written out only `maths.bits.left` and `right` shift.
+
+Nor may it read memory that was not written, which LLVM's text does not show: a test lets valgrind look.
 """
 
 from __future__ import annotations
@@ -14,9 +15,6 @@ _CONVERTS, _SHIFTS = {"bits.whole"}, {"bits.left", "bits.right"}
 _DEFINED = re.compile(r"define [^@]*@(?P<name>[^(]+)\(")
 _CALLED = re.compile(r"(?:call|invoke) [^@]*@([^(]+)\(")
 _SHIFT = re.compile(r"= (?:shl|lshr|ashr) (?:exact |nuw |nsw )*\S+ [^,]+, (?!\d+$)")
-_UNWRITTEN = re.compile(r"\b(?:undef|poison)\b")
-_BUILT_UP = re.compile(r"= (?:shufflevector|insertelement|insertvalue) ")
-"""a vector or a record, of which they say that it has been written to in part"""
 
 
 def plain(name: str) -> str:
@@ -53,18 +51,3 @@ def violations(text: str) -> list[str]:
             if plain(caller) not in _CONVERTS and not caller.startswith("cfunc.")  # which nothing calls
         ]
     return sorted(set(found))
-
-
-def unwritten(text: str) -> list[str]:
-    """Where a module that was optimised for size uses what was not written.
-
-    Not of other modules: where loops are unrolled and vectors made, LLVM leaves entries open that it does not use.
-    """
-    name, found = "", []
-    for line in text.splitlines():
-        if line.startswith("define "):
-            match = _DEFINED.match(line)
-            name = match["name"] if match else line
-        elif line.startswith(" ") and _UNWRITTEN.search(line) and not _BUILT_UP.search(line):
-            found.append(f"{name} uses memory that was not written: {line.strip()}")
-    return found

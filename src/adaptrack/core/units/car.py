@@ -32,7 +32,7 @@ PARAMETERS = (
     "start_station",  # m, along the road, about which the car's foot is looked for at the start
 )  # fmt: skip
 INPUTS = (
-    "command",  # rad, angle of the road wheels that is asked for, positive to the left
+    "command",  # rad, requested angle of the road wheels, positive to the left
     "speed",  # m/s, planned for this instant
     "speed_ahead",  # m/s, planned for the time of speed_preview from now
     "on_plan",  # true: a car that is early or late against plan_station drives a little slower or faster

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, columns, exported, inlined, int64, int_vector, record, vector
+from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
 from ..maths.bits import whole
+from ..road import CLOSED
+from ..speed_plan import planned_speeds
 from ..tracker.give import tracker_engage
 from ..tracker.records import SAMPLE, TRACKED, LawTracking, Tracking
 from ..tracker.step import tracker_step, tracker_step_law
@@ -21,6 +23,7 @@ CONSTANTS = (
 )
 PARAMETERS = (
     "start_wheel_angle",  # rad, of the road wheels at the start, positive to the left: the first command is near it
+    "speed_preview",  # s, how far ahead planned_speed_ahead is planned; that of the car
 )
 INPUTS = (
     "x", "y",  # m, m: position of the centre of mass in the world of the path
@@ -42,7 +45,7 @@ INPUTS = (
     "wind_known",  # true: wind is known
 )  # fmt: skip
 OUTPUTS = (
-    "command",  # rad, angle of the road wheels to ask for, positive to the left
+    "command",  # rad, requested angle of the road wheels, positive to the left
     "status",  # 0 ok, 1 estimated, 2 held, 3 standing, 4 reverse, 5 off path, 6 end of path, 7 sliding
     "offset",  # m, of the car from the path, positive to the left; NaN without a position to go by
     "heading_error",  # rad, the car's heading less the path's; NaN without a position to go by
@@ -50,11 +53,14 @@ OUTPUTS = (
     "belief_state",  # of what is learned: 0 learning, 1 settled, 2 at the end of a range, 3 contradictory; -1 nothing
     "belief_at_bound",  # which learned quantity is at the end of its range, 0 none, -1 nothing is learned
     "suspect",  # sum of 1, 2, 4, ...: inputs that contradict each other
+    "planned_speed",  # m/s, planned where the car is; without a plan the present speed
+    "planned_speed_ahead",  # m/s, planned where the car will be after speed_preview
 )  # fmt: skip
 VALUE = columns(*CONSTANTS, *PARAMETERS, *INPUTS, *OUTPUTS)
 """The values of a controller."""
 _PARAMETER, _INPUT = VALUE.start_wheel_angle, VALUE.x
 
+_places = local(2)
 _VALUES = (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector))
 Steering = record("Steering", (*_VALUES, ("tracking", Tracking)))
 """A unit of co-simulation (see `contract`) around an MPC, its values by `VALUE`."""
@@ -87,13 +93,31 @@ def _give(values, sample):
 
 
 @inlined
-def _tell(tracked, values):
+def _tell(tracker, values):
     """Write the outputs."""
+    tracked = tracker.tracked
     values[VALUE.command], values[VALUE.status] = tracked[TRACKED.command], tracked[TRACKED.status]
     values[VALUE.offset], values[VALUE.heading_error] = tracked[TRACKED.offset], tracked[TRACKED.heading_error]
     values[VALUE.station], values[VALUE.suspect] = tracked[TRACKED.station], tracked[TRACKED.suspect]
     values[VALUE.belief_state] = tracked[TRACKED.belief_state]
     values[VALUE.belief_at_bound] = tracked[TRACKED.belief_at_bound]
+    _tell_plan(tracker, values)
+
+
+@inlined
+def _tell_plan(tracker, values):
+    """Write the planned speeds; where the car is not known they stay."""
+    plan, places = tracker.plan, _places()
+    speed = max(values[VALUE.speed], 0.0)
+    places[0] = places[1] = speed
+    if plan.s.size > 1:
+        lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0
+        places[0] = values[VALUE.station]
+        places[1] = places[0] + speed * values[VALUE.speed_preview]
+        planned_speeds(lap, plan.s, plan.speed, places)
+    for i in range(2):
+        if math.isfinite(places[i]):
+            values[VALUE.planned_speed + i] = places[i]
 
 
 @inlined
@@ -105,7 +129,7 @@ def _begin(unit):
         return wrong
     tracker_engage(values[VALUE.start_wheel_angle], math.nan, tracker)
     values[VALUE.time] = 0.0
-    _tell(tracker.tracked, values)
+    _tell(tracker, values)
     return OK
 
 
@@ -134,7 +158,7 @@ def steering_step(unit):
     values, tracker = unit.values, unit.tracking.tracker
     _give(values, tracker.sample)
     tracker_step(unit.tracking)
-    _tell(tracker.tracked, values)
+    _tell(tracker, values)
     _go_on(values)
     return OK
 
@@ -145,6 +169,6 @@ def law_steering_step(unit):
     values, tracker = unit.values, unit.tracking.tracker
     _give(values, tracker.sample)
     tracker_step_law(unit.tracking)
-    _tell(tracker.tracked, values)
+    _tell(tracker, values)
     _go_on(values)
     return OK

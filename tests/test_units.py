@@ -1,0 +1,60 @@
+"""A car as a unit of co-simulation is that of a closed loop."""
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.core.kernel import Resident
+from adaptrack.core.units import car, contract, controller
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.world import World
+from adaptrack.export.units import CONSTANT, INPUT, PARAMETER, car_unit, controller_unit
+
+pytestmark = pytest.mark.kernels
+CAR = at.load_vehicle("paper")
+PLANT = at.DualTrack(CAR)
+STEP = at.load_scenario("step", duration=2.0, speed=15.0)
+
+
+def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant():
+    law = at.Stanley(CAR, period=0.05)
+    loop = ClosedLoop(World.of(PLANT, law, "production", None, None, None), STEP, 6)
+    unit = car_unit(PLANT, STEP, profile="production", period=0.05)
+    values, record = unit.record.values, Resident(unit.record)
+    values[car.VALUE.seed] = 6
+    assert car.car_begin(record) == contract.OK
+    signals = loop.signals
+    for k in range(12):
+        now = loop.sense()
+        measured = values[car.VALUE.measured_heading_error], values[car.VALUE.measured_offset]
+        assert np.array_equal(measured, (now.measured[1], now.measured[3]), equal_nan=True)
+        values[car.VALUE.command] = 0.01 * k
+        values[car.VALUE.speed], values[car.VALUE.speed_ahead] = signals.speed[k : k + 2]
+        values[car.VALUE.friction_front_left : car.VALUE.wind_x] = signals.friction[k]
+        values[car.VALUE.wind_x : car.VALUE.bank] = signals.wind[k]
+        assert car.car_step(record) == contract.OK
+        loop.send(0.01 * k)
+        loop.advance()
+    assert values[car.VALUE.time] == 12 * 0.05
+
+
+def test_a_value_out_of_its_range_is_named_by_the_status():
+    unit = car_unit(PLANT, profile="road")
+    values, record = unit.record.values, Resident(unit.record)
+    values[car.VALUE.start_speed] = -1.0
+    assert car.car_begin(record) == -1 - car.VALUE.start_speed
+    values[car.VALUE.start_speed] = 10.0
+    assert car.car_begin(record) == contract.OK
+    values[car.VALUE.wind_y] = np.nan
+    assert car.car_step(record) == -1 - car.VALUE.wind_y
+
+
+def test_each_value_says_what_it_is_and_in_which_unit():
+    road = at.load_road("town", seed=1, length=150.0)
+    units = car_unit(PLANT), controller_unit(at.Stanley(CAR, period=0.05), road)
+    for unit, kernel in zip(units, (car, controller), strict=True):
+        assert tuple(each.name for each in unit.values) == kernel.VALUE._fields
+        assert all(len(each.description) > 8 for each in unit.values)
+        plain = {each.name for each in unit.values if not each.unit and each.type == 0}
+        assert all(name.startswith("friction") for name in plain)
+        assert {each.role for each in unit.values} == {CONSTANT, PARAMETER, INPUT, 0}
