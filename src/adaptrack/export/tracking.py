@@ -68,6 +68,8 @@ def refuse(controller: Any) -> None:
             f"export: controller {name!r} is none that is compiled ahead of time: informed, its learning kin, the "
             "paper's with their schedules, lqr, stanley and pure-pursuit are."
         )
+    if controller.vehicle is None:
+        raise InvalidInput(f"export: {name!r} has a model of your own, and only the package's are compiled ahead.")
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
         raise InvalidInput(
