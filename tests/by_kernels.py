@@ -5,7 +5,7 @@ import numpy as np
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers import informed as face
-from adaptrack.control.controllers.belief import UNKNOWN, told
+from adaptrack.control.controllers.belief import UNKNOWN, known_steering
 from adaptrack.core.controllers.mpc import Settings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import size_of
@@ -29,7 +29,7 @@ def ordered(vehicle, options):
     world = load_profile(name or "road")
     method = face.UNASKED if mode in (None, "auto") else mode
     order = face._order(
-        vehicle, world.numbers(world.period), told(vehicle, options.get("belief"), world, name is not None),
+        vehicle, world.numbers(world.period), known_steering(vehicle, options.get("belief"), world, name is not None),
         options.get("uncertainty"), method,
     )  # fmt: skip
     order.learning, order.alone = informed.NEVER if mode is None else informed.UNLESS_SAID, name is None

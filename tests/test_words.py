@@ -37,9 +37,9 @@ MEANT = {
     "asked": {"docs/campaign.md": 1, "src/adaptrack/cli/adapt.py": 1},
     "told": {"src/adaptrack/cli/evaluate_schedules.py": 1},
     "body": {
-        "docs/extensions/mathml.py": 1, "src/adaptrack/__init__.py": 1, "src/adaptrack/cars/data_sheet.py": 11,
+        "docs/extensions/mathml.py": 1, "src/adaptrack/__init__.py": 1, "src/adaptrack/cars/data_sheet.py": 8,
         "src/adaptrack/cars/vehicle.py": 23,
-        "src/adaptrack/control/controllers/learned.py": 2, "src/adaptrack/cli/car.py": 7,
+        "src/adaptrack/core/synthesis/car.py": 3, "src/adaptrack/cli/car.py": 7,
         "src/adaptrack/core/build/header.py": 1,
         "src/adaptrack/peers/commonroad_plants.py": 3,
     },

@@ -113,7 +113,7 @@ class Profile(Record):
         return self.delay * self.period + self.steering.dead_time
 
     def numbers(self, period: float) -> Any:
-        """What a controller of this control period (s) is told: a row of `core.synthesis.tuning.World`."""
+        """What a controller of this control period (s) knows of it: a row of `core.synthesis.tuning.World`."""
         return row_of(
             World, self, period=period, computation=self.delay * period, move_weight=self.move_weight * self.period**2
         )

@@ -157,13 +157,13 @@ def believed(vehicle: Vehicle, given: GivenSteering, profile: Profile, period: f
     InvalidInput
         When `given` is no `Steering`.
     """
-    given, car, actuator = told(vehicle, given, profile, named)
+    given, car, actuator = known_steering(vehicle, given, profile, named)
     found = row_of(kernel.Belief)
     kernel.believe_steering(given, car, actuator, profile.delay * period, found)
     return belief_of(found, vehicle, profile)
 
 
-def told(vehicle: Vehicle, given: GivenSteering, profile: Profile, named: bool) -> tuple[Any, Any, Any]:
+def known_steering(vehicle: Vehicle, given: GivenSteering, profile: Profile, named: bool) -> tuple[Any, Any, Any]:
     """What the caller, the car file and the profile say of a steering: rows of `core.synthesis.car.Steering`.
 
     Raises

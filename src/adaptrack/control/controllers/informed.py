@@ -15,7 +15,14 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import known_vehicle
-from adaptrack.control.controllers.belief import Belief, GivenSteering, Uncertainty, belief_of, limits_of, told
+from adaptrack.control.controllers.belief import (
+    Belief,
+    GivenSteering,
+    Uncertainty,
+    belief_of,
+    known_steering,
+    limits_of,
+)
 from adaptrack.control.controllers.learned import Learner, Learning
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning
@@ -111,7 +118,7 @@ def informed_parts(
         _same_car(car, learning)
     method = UNASKED if learning is None or learning == AUTO else learning
     named = profile is not None and not isinstance(learning, Learning)
-    order = _order(car, world.numbers(step), told(car, steering, world, named), uncertainty, method)
+    order = _order(car, world.numbers(step), known_steering(car, steering, world, named), uncertainty, method)
     order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
     order.alone, order.filter_given = profile is None, estimator is not None
     made = kernel.Parts.new(1)

@@ -274,7 +274,8 @@ class Learner:
         """at first"""
         self.limits = Ranges.of(row.lag_end, row.lag_limit, row.dead_time_end, row.dead_time_limit)
         """never left"""
-        self.stiffness, self.longest, self.kept = float(row.stiffness), float(row.longest), int(row.kept)
+        self.stiffness, self.stiffness_spread = float(row.stiffness), float(row.stiffness_spread)
+        self.longest, self.kept = float(row.longest), int(row.kept)
         self.car = car.replace(lf=float(row.car.lf), lr=float(row.car.lr))
 
     def parameters(self) -> Array:

@@ -56,12 +56,12 @@ def to_digits(x, digits):
     a, places = abs(x), digits - 1
     if not 1e-15 < a < 1e15:
         return x
-    lead = 1.0
-    while a >= lead * 10.0 and places > -MOST_PLACES:
-        lead *= 10.0
+    power = 1.0
+    while a >= power * 10.0 and places > -MOST_PLACES:
+        power *= 10.0
         places -= 1
-    lead = 1.0
-    while a * lead < 1.0 and places < MOST_PLACES:
-        lead *= 10.0
+    power = 1.0
+    while a * power < 1.0 and places < MOST_PLACES:
+        power *= 10.0
         places += 1
     return to_places(x, places)

@@ -68,7 +68,7 @@ def usual_filter(numbers):
 
 @exported(void(Row(World), Row(Noise)))
 def sensor_noise(world, noise):
-    """Write the noise of a loop's sensors, as a filter is told.
+    """Write the noise of a loop's sensors, as a filter knows them.
 
     A wheel-angle sensor that is off, or without noise, is left out: the model knows the angle better, or as well. An
     offset of the yaw rate within +- b has the standard deviation b/sqrt(3).

@@ -181,7 +181,7 @@ def _finite(x):
 
 
 @inlined
-def has_body(car):
+def is_a_car(car):
     """Whether mass, inertia, axles and stiffness are those of a car."""
     shape = _positive(car.mass) and _positive(car.yaw_inertia) and _positive(car.lf) and _positive(car.lr)
     return shape and _positive(car.stiffness_front) and _positive(car.stiffness_rear)
@@ -206,13 +206,13 @@ def _wrong(order):
     """`FINE`, or what of an order no controller can be made of."""
     car, world, unsure, method = order.car, order.world, order.unsure, order.method
     windy = _finite(car.frontal_area) and _finite(car.side_force_slope) and abs(car.yaw_moment_slope) < math.inf
-    if not (has_body(car) and windy):
+    if not (is_a_car(car) and windy):
         return CAR_WRONG
     times = _positive(world.period) and 0.0 <= world.computation <= MOST_TIME and 0.0 <= world.oldest <= MOST_TIME
-    seen = world.noise_vy >= 0.0 and world.noise_yaw >= 0.0 and world.noise_yaw_rate >= 0.0 and _finite(world.noise_y)
-    seen = seen and world.noise_wheel_angle >= 0.0 and world.noise_lateral_acceleration >= 0.0
+    sensed = world.noise_vy >= 0.0 and world.noise_yaw >= 0.0 and world.noise_yaw_rate >= 0.0 and _finite(world.noise_y)
+    sensed = sensed and world.noise_wheel_angle >= 0.0 and world.noise_lateral_acceleration >= 0.0
     off = _finite(world.bias_yaw_rate) and _finite(world.bias_wheel_angle)
-    if not (times and seen and off and _finite(world.move_weight)):
+    if not (times and sensed and off and _finite(world.move_weight)):
         return LOOP_WRONG
     if not (_can_be(order.given) and _can_be(order.file) and _can_be(order.actuator)):
         return STEERING_WRONG

@@ -96,7 +96,7 @@ LEAST_UNSURE, LEAST_CHANGED = 0.02, 0.05
 """s, by which lag and dead time of an earlier drive may be off; -, likewise the logarithm of its stiffness."""
 SPREAD = 1.0 / math.sqrt(3.0)
 """Standard deviation of what may be anywhere within +-1."""
-TOLERATED_SEEN, TOLERATED = (0.12, 0.6), (0.3, 2.0)
+TOLERATED_WITH_VY, TOLERATED = (0.12, 0.6), (0.3, 2.0)
 """Standard deviations of the delay (s) and of the logarithm of the stiffness that double R, where the lateral velocity
 is measured, and where it is not: there R is larger already (`tuning.UNSEEN`)."""
 LEAST_VARIANCE = 1e-8
@@ -187,11 +187,9 @@ def begin_learner(method, start, car, within, belief, unsure, given, sensing, pe
     own.balance, own.bias = given_or(method.balance, UNKNOWN_BALANCE), given_or(method.bias, UNKNOWN_BIAS)
     found = car.frontal_area * car.side_force_slope / _USUAL_SIDE * WINDY / car.mass
     own.wind = method.wind * clip(found, LEAST_WINDY, MOST_WINDY)
-    delay, stiff = TOLERATED_SEEN if sensing.noise.vy < math.inf else TOLERATED
-    own.tolerated, own.tolerated_stiffness = (
-        given_or(method.tolerated, delay),
-        given_or(method.tolerated_stiffness, stiff),
-    )
+    delay, stiff = TOLERATED_WITH_VY if sensing.noise.vy < math.inf else TOLERATED
+    own.tolerated = given_or(method.tolerated, delay)
+    own.tolerated_stiffness = given_or(method.tolerated_stiffness, stiff)
     own.longest = own.dead_time_limit + own.computation
     own.kept = whole(ceil((own.longest + sensing.oldest) / period)) + 3
 

@@ -9,7 +9,7 @@ from ..models import single_track
 from ..models.contract import MEASURED
 from .belief import ANGLE, MOVE
 from .car import Car
-from .informed import CAR_WRONG, FINE, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, has_body
+from .informed import CAR_WRONG, FINE, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, is_a_car
 from .tuning import TABLE
 
 _MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.STATE)
@@ -23,7 +23,7 @@ def published_constants(car, period, constants):
     nothing is written.
     """
     tuning, model, states = constants.tuning, constants.model, constants.states
-    if not has_body(car):
+    if not is_a_car(car):
         return CAR_WRONG
     if not 0.0 < period < math.inf:
         return LOOP_WRONG

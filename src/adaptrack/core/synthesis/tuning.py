@@ -21,7 +21,7 @@ World = record(
     ),
     whole=("preview",),
 )  # fmt: skip
-"""Loop and sensors, as the controller is told."""
+"""Loop and sensors, as the controller knows them."""
 
 TABLE = record("Table", ("Np", "Nc", "Q", "R"))(35, 8, 10.0, 0.01)
 """The tuning of the paper's table: periods, periods, 1/m^2, 1/rad^2."""
