@@ -20,7 +20,7 @@ static uint64_t *record_of(void *tracker) { return (uint64_t *)adaptrack_block_r
 
 static double *numbers_at(const uint64_t *record, size_t place) { return (double *)(uintptr_t)record[place]; }
 
-/* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ----------- */
+/* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ------- */
 typedef struct {
     uint64_t mark;
     uint32_t id; /* CRC-32 of the points */
@@ -82,13 +82,15 @@ double adaptrack_path_length(const void *path) {
 
 static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *head) {
     if (!plan || plan->count == 0) return ADAPTRACK_OK;
-    if (!plan->s || !plan->speed || plan->count < 2 || plan->count > ADAPTRACK_MOST_POINTS) return ADAPTRACK_BAD_ARGUMENT;
+    if (!plan->s || !plan->speed || plan->count < 2) return ADAPTRACK_BAD_ARGUMENT;
+    if (plan->count > ADAPTRACK_MOST_POINTS) return ADAPTRACK_BAD_ARGUMENT;
     for (size_t i = 0; i < plan->count; i++) {
-        if (!is_finite(plan->s[i]) || !(plan->speed[i] >= 0.0) || !is_finite(plan->speed[i])) return ADAPTRACK_BAD_ARGUMENT;
+        if (!is_finite(plan->s[i]) || !is_finite(plan->speed[i])) return ADAPTRACK_BAD_ARGUMENT;
+        if (!(plan->speed[i] >= 0.0)) return ADAPTRACK_BAD_ARGUMENT;
         if (i > 0 ? !(plan->s[i] > plan->s[i - 1]) : plan->s[i] != 0.0) return ADAPTRACK_BAD_ARGUMENT;
     }
-    if (!(magnitude(plan->s[plan->count - 1] - road_of(head)[ADAPTRACK_ROAD_LENGTH]) <= 1.0)) return ADAPTRACK_BAD_ARGUMENT;
-    return ADAPTRACK_OK;
+    return magnitude(plan->s[plan->count - 1] - road_of(head)[ADAPTRACK_ROAD_LENGTH]) <= 1.0 ? ADAPTRACK_OK
+                                                                                               : ADAPTRACK_BAD_ARGUMENT;
 }
 
 static void put_array(uint64_t *record, size_t place, const double *at, int64_t size) {

@@ -67,7 +67,8 @@ static adaptrack_error read_block(const unsigned char *p, size_t size, block *b)
     b->size = counts[0], b->kind = counts[1], b->layout = counts[2], b->words = counts[3], b->record = counts[4];
     b->renewed = counts[5], b->kept = counts[6], b->places = counts[7], b->links = counts[8], b->starts = counts[9];
     b->runs = counts[10], b->resets = counts[11];
-    if (b->size != size || b->record > b->renewed || b->renewed > b->kept || b->kept > b->words) return ADAPTRACK_DAMAGED;
+    if (b->size != size || b->record > b->renewed || b->renewed > b->kept) return ADAPTRACK_DAMAGED;
+    if (b->kept > b->words) return ADAPTRACK_DAMAGED;
     bytes = tables(b) + 16u * (uint64_t)b->resets;
     if (bytes > size - PRELUDE - HEADER) return ADAPTRACK_DAMAGED;
     b->place = p + PRELUDE + HEADER;
