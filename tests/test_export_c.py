@@ -380,6 +380,15 @@ def test_calls_out_of_order_are_refused(library_of, way):
     assert made.c.adaptrack_state_size(None) == 0
 
 
+def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
+    made = library_of("informed")
+    tracker, path = CTracker(made), made.path(POINTS)
+    tracker.follow(path, way[1])
+    assert tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])[0] == exported.OK
+    path.raw[:8] = 0.0
+    assert tracker.step([0.05, 0.05, 1.5, 0.0, 0.0, 10.0, 0.0])[0] == exported.BAD_PATH
+
+
 def test_a_clock_that_goes_back_repeats_the_command(library_of, way):
     tracker = begun(library_of("informed"), way)
     samples = [[0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan] for k in range(20)]

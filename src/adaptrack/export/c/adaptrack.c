@@ -20,7 +20,7 @@ static uint64_t *record_of(void *tracker) { return (uint64_t *)adaptrack_block_r
 
 static double *numbers_at(const uint64_t *record, size_t place) { return (double *)(uintptr_t)record[place]; }
 
-/* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ----------- */
+/* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ------- */
 typedef struct {
     uint64_t mark;
     uint32_t id; /* CRC-32 of the points */
@@ -82,13 +82,15 @@ double adaptrack_path_length(const void *path) {
 
 static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *head) {
     if (!plan || plan->count == 0) return ADAPTRACK_OK;
-    if (!plan->s || !plan->speed || plan->count < 2 || plan->count > ADAPTRACK_MOST_POINTS) return ADAPTRACK_BAD_ARGUMENT;
+    if (!plan->s || !plan->speed || plan->count < 2) return ADAPTRACK_BAD_ARGUMENT;
+    if (plan->count > ADAPTRACK_MOST_POINTS) return ADAPTRACK_BAD_ARGUMENT;
     for (size_t i = 0; i < plan->count; i++) {
-        if (!is_finite(plan->s[i]) || !(plan->speed[i] >= 0.0) || !is_finite(plan->speed[i])) return ADAPTRACK_BAD_ARGUMENT;
+        if (!is_finite(plan->s[i]) || !is_finite(plan->speed[i])) return ADAPTRACK_BAD_ARGUMENT;
+        if (!(plan->speed[i] >= 0.0)) return ADAPTRACK_BAD_ARGUMENT;
         if (i > 0 ? !(plan->s[i] > plan->s[i - 1]) : plan->s[i] != 0.0) return ADAPTRACK_BAD_ARGUMENT;
     }
-    if (!(magnitude(plan->s[plan->count - 1] - road_of(head)[ADAPTRACK_ROAD_LENGTH]) <= 1.0)) return ADAPTRACK_BAD_ARGUMENT;
-    return ADAPTRACK_OK;
+    return magnitude(plan->s[plan->count - 1] - road_of(head)[ADAPTRACK_ROAD_LENGTH]) <= 1.0 ? ADAPTRACK_OK
+                                                                                               : ADAPTRACK_BAD_ARGUMENT;
 }
 
 static void put_array(uint64_t *record, size_t place, const double *at, int64_t size) {
@@ -168,6 +170,7 @@ adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, c
         put_path(record_of(tracker), head, plan);
         adaptrack_tracker_follow(near, record_of(tracker));
         ((adaptrack_head *)tracker)->path = path_id(head, plan);
+        ((adaptrack_head *)tracker)->points = head->id;
     }
     adaptrack_block_give(tracker);
     return error;
@@ -189,17 +192,24 @@ static void read_answer(const double *tracked, adaptrack_answer *answer) {
     answer->suspect = suspect >= 1.0 && suspect < 9e15 ? (uint64_t)suspect : 0u;
 }
 
+/* ADAPTRACK_BAD_PATH where the path that is followed has been overwritten. */
+static adaptrack_error check_path(void *tracker) {
+    const adaptrack_head *own = (const adaptrack_head *)tracker;
+    const path_head *head;
+    if (own->path == 0) return ADAPTRACK_OUT_OF_ORDER;
+    head = (const path_head *)(uintptr_t)record_of(tracker)[ADAPTRACK_PATH_NUMBERS] - 1;
+    return head->mark == PATH && head->id == own->points ? ADAPTRACK_OK : ADAPTRACK_BAD_PATH;
+}
+
 adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer) {
     adaptrack_error error;
     double *given;
     if (!sample || !answer) return ADAPTRACK_BAD_ARGUMENT;
     error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    if (((adaptrack_head *)tracker)->path == 0) {
-        error = ADAPTRACK_OUT_OF_ORDER;
-    } else if (adaptrack_arithmetic() != ADAPTRACK_OK) {
-        error = ADAPTRACK_ARITHMETIC;
-    } else {
+    error = adaptrack_arithmetic();
+    if (error == ADAPTRACK_OK) error = check_path(tracker);
+    if (error == ADAPTRACK_OK) {
         given = numbers_at(record_of(tracker), ADAPTRACK_SAMPLE_AT);
         given[ADAPTRACK_SAMPLE_T] = sample->t, given[ADAPTRACK_SAMPLE_NOW] = sample->now;
         given[ADAPTRACK_SAMPLE_X] = sample->x, given[ADAPTRACK_SAMPLE_Y] = sample->y;

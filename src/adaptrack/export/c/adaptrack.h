@@ -7,7 +7,7 @@
    -ffast-math on the program that links this may switch them off, which is answered by ADAPTRACK_ARITHMETIC. */
 #ifndef ADAPTRACK_H
 #define ADAPTRACK_H
-#include "adaptrack_config.h" /* ADAPTRACK_SIZE, ADAPTRACK_STATE_SIZE (bytes), ADAPTRACK_PERIOD (s), ADAPTRACK_VERSION */
+#include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _VERSION, the constants */
 #include "adaptrack_error.h"
 
 #include <math.h>
@@ -113,9 +113,9 @@ typedef struct {
     uint64_t suspect;     /* ADAPTRACK_SUSPECT_...: inputs that contradict each other, since the tracker engaged */
 } adaptrack_answer;
 
-/* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest.
-   ADAPTRACK_OUT_OF_ORDER before there is a path. A number beyond what a car can have counts as not known. Where this
-   does not answer ADAPTRACK_OK, the answer is not written. */
+/* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest. A number
+   beyond what a car can have counts as not known. ADAPTRACK_OUT_OF_ORDER before there is a path, ADAPTRACK_BAD_PATH
+   when its memory was overwritten. Where this does not answer ADAPTRACK_OK, the answer is not written. */
 adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer);
 
 /* -- the state ---------------------------------------------------------------------------------------------------- */

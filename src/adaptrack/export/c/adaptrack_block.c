@@ -67,7 +67,8 @@ static adaptrack_error read_block(const unsigned char *p, size_t size, block *b)
     b->size = counts[0], b->kind = counts[1], b->layout = counts[2], b->words = counts[3], b->record = counts[4];
     b->renewed = counts[5], b->kept = counts[6], b->places = counts[7], b->links = counts[8], b->starts = counts[9];
     b->runs = counts[10], b->resets = counts[11];
-    if (b->size != size || b->record > b->renewed || b->renewed > b->kept || b->kept > b->words) return ADAPTRACK_DAMAGED;
+    if (b->size != size || b->record > b->renewed || b->renewed > b->kept) return ADAPTRACK_DAMAGED;
+    if (b->kept > b->words) return ADAPTRACK_DAMAGED;
     bytes = tables(b) + 16u * (uint64_t)b->resets;
     if (bytes > size - PRELUDE - HEADER) return ADAPTRACK_DAMAGED;
     b->place = p + PRELUDE + HEADER;
@@ -211,7 +212,7 @@ adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory
     if (status != ADAPTRACK_OK) return status;
     fill(&b, words_of(memory), 0, b.words);
     connect(reader, &b, words_of(memory));
-    head->busy = 0, head->path = 0, head->engaged = 0, head->reserved[0] = 0, head->reserved[1] = 0;
+    head->busy = 0, head->path = 0, head->points = 0, head->reserved[0] = 0, head->reserved[1] = 0;
     head->constants = adaptrack_crc32(constants, size), head->layout = b.layout, head->words = b.words;
     head->renewed = b.renewed, head->kept = b.kept;
     head->mark = MARK;
@@ -243,7 +244,7 @@ adaptrack_error adaptrack_block_renew(const adaptrack_reader *reader, void *memo
     return ADAPTRACK_OK;
 }
 
-/* -- a saved state: magic, CRC-32 of the rest, format, kernels, constants, layout, path, engaged, words ------------ */
+/* -- a saved state: magic, CRC-32 of the rest, format, kernels, constants, layout, path, 0, count, words ---------- */
 size_t adaptrack_block_state_size(const void *memory) {
     const adaptrack_head *head = (const adaptrack_head *)memory;
     return is_ready(memory) ? ADAPTRACK_SAVED_HEAD + 8u * (size_t)(head->words - head->renewed) : 0;
@@ -263,7 +264,7 @@ adaptrack_error adaptrack_block_save(const adaptrack_reader *reader, const void 
     put_four(p + 24, head->constants);
     put_four(p + 28, head->layout);
     put_four(p + 32, head->path);
-    put_four(p + 36, head->engaged);
+    put_four(p + 36, 0);
     put_eight(p + 40, head->words - head->renewed);
     for (uint32_t i = head->renewed; i < head->words; i++)
         put_eight(p + ADAPTRACK_SAVED_HEAD + 8u * (size_t)(i - head->renewed), words[i]);
@@ -287,7 +288,6 @@ adaptrack_error adaptrack_block_restore(const adaptrack_reader *reader, void *me
     words = words_of(memory);
     for (uint32_t i = head->renewed; i < head->words; i++)
         words[i] = eight(p + ADAPTRACK_SAVED_HEAD + 8u * (size_t)(i - head->renewed));
-    head->engaged = four(p + 36);
     return ADAPTRACK_OK;
 }
 

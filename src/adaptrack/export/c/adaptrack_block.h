@@ -35,8 +35,8 @@ typedef struct {
     uint32_t words;   /* of the memory behind the head */
     uint32_t renewed; /* first word of the RENEWED arrays */
     uint32_t kept;    /* first word of the KEPT arrays */
-    uint32_t path;    /* CRC-32 of the path, 0: none */
-    uint32_t engaged;
+    uint32_t path;    /* CRC-32 of path and plan, 0: none */
+    uint32_t points;  /* CRC-32 of the path's points alone */
     uint64_t reserved[3];
 } adaptrack_head; /* 64 bytes, a cache line */
 

@@ -1,5 +1,6 @@
-/* Times steps of the recorded minute, over and over, in processor time: p50, p99, the worst; and the worst of the minute's
-   steps where each counts with the least of its repeats, as on a processor that does nothing else. POSIX; times [STEPS] */
+/* Times steps of the recorded minute, over and over, in processor time: p50, p99, the worst; and the worst of the
+   minute's steps where each counts with the least of its repeats, as on a processor that does nothing else. POSIX;
+   usage: times [STEPS] */
 #define _POSIX_C_SOURCE 199309L
 #include "adaptrack.h"
 #include "adaptrack_recorded.h"
@@ -36,7 +37,8 @@ int main(int count, char **words) {
                        sizeof path, 0) != ADAPTRACK_OK) return 1;
     printf("a path through %d points: %.0f us, %d kB\n", ADAPTRACK_RECORDED_POINTS, 1e6 * (now() - begun),
            (int)(sizeof path / 1000));
-    if (adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE) != ADAPTRACK_OK) return 1;
+    if (adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE) != ADAPTRACK_OK)
+        return 1;
     for (long i = 0; i < steps; i++) {
         const uint64_t *row = adaptrack_recorded[i % ADAPTRACK_RECORDED_STEPS];
         adaptrack_sample sample = ADAPTRACK_UNKNOWN;
@@ -62,7 +64,8 @@ int main(int count, char **words) {
         if (least < 1.0f && least > undisturbed) undisturbed = least;
     }
     qsort(times, (size_t)steps, sizeof *times, ascending);
-    printf("%ld steps: mean %.2f us, p50 %.2f, p99 %.2f, p99.9 %.2f, worst %.1f; undisturbed at most %.1f\n", steps, 1e6 * mean,
+    printf("%ld steps: mean %.2f us, p50 %.2f, p99 %.2f, p99.9 %.2f, worst %.1f; undisturbed at most %.1f\n",
+           steps, 1e6 * mean,
            1e6 * (double)times[steps / 2], 1e6 * (double)times[steps - steps / 100],
            1e6 * (double)times[steps - steps / 1000], 1e6 * (double)times[steps - 1], 1e6 * (double)undisturbed);
     free(times);
