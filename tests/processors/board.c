@@ -47,6 +47,10 @@ static int drive(adaptrack_tracker *tracker, double *path, const int64_t *given,
 #ifdef HOST
 #include <stdio.h>
 #include <stdlib.h>
+#ifdef _WIN32
+#include <malloc.h>
+#define aligned_alloc(alignment, size) _aligned_malloc(size, alignment)
+#endif
 static uint32_t counted(void) { return 0; }
 int main(int count, char **names) {
     FILE *file = fopen(names[count - 2], "rb");

@@ -1,19 +1,24 @@
 """An exported tracker on microcontrollers that QEMU emulates: the same bits, code, memory, stack, counted instructions.
 
-``python -m processors.board`` in ``tests`` prints the table of docs/compatibility.md.
+``python -m processors.board`` in ``tests`` prints the numbers of docs/compatibility.md.
 """
 
 import shutil
 import subprocess
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from adaptrack import MPC, DualTrack, Learning, load_road, load_vehicle, plan_speed, published_mpc
+from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import ANSWER
 from adaptrack.export.c_library import export_c
+from adaptrack.export.recorded import record_drive
 from adaptrack.export.tracking import tracking_block
+from adaptrack.scenario.profile import load_profile
 
 HERE = Path(__file__).parent
 TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc")
@@ -49,9 +54,9 @@ BOARDS = {
 }
 
 
-def missing(target):
+def missing(target, tools=TOOLS):
     """The first of what it takes that is not there; None: nothing."""
-    for tool in TOOLS:
+    for tool in tools:
         if shutil.which(tool) is None:
             return f"{tool} is not installed"
     try:
@@ -104,12 +109,12 @@ class Program:
     def kernels(self, target):
         return str(self.made.folder / "lib" / target / "adaptrack_kernels.o")
 
-    def here(self, kernels=None, under=()):
-        """Drive on this machine, with other kernels if given, under another program: answers (calls, WORDS)."""
-        kernels = self.kernels(_own()) if kernels is None else str(kernels)
-        _do(["gcc", "-g", *self.given, "-DHOST", kernels, "-o", "here"], self.folder)
-        _do([*under, str(self.folder / "here"), "samples", "expected"], self.folder)
-        return np.fromfile(self.folder / "expected", np.int64).reshape(-1, WORDS)
+    def here(self, target=None, compiler="gcc", under=()):
+        """Drive on this machine, under another program where one is given: answers (calls, WORDS)."""
+        kernels = self.kernels(_own() if target is None else target)
+        _do([compiler, "-g", *self.given, "-DHOST", kernels, "-o", "here.exe"], self.folder)
+        _do([*under, str(self.folder / "here.exe"), "samples", "told"], self.folder)
+        return np.fromfile(self.folder / "told", np.int64).reshape(-1, WORDS)
 
     def on(self, target):
         """Drive on a board and here.
@@ -175,3 +180,52 @@ def _do(command, folder):
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=1200)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.returncode}: {done.stderr}")
+
+
+def driven(controller, road, plan, vehicle, rng, disturbed):
+    """10,800 calls of one period: nine recorded drives, measured ever worse where they are to be disturbed."""
+    step = controller.period / 0.05
+    record = record_drive(
+        MPC(vehicle, profile="road", learning=None), DualTrack(vehicle), road, plan, load_profile("road")
+    )
+    rows, begun = [], 0.0
+    for wild in (0.0, 0.1, 0.3, 0.5, 1.0, 1.0, 2.0, 2.0, 3.0):
+        calls = record.samples[:: max(1, round(step))].copy()
+        calls[:, :2] += begun
+        begun += calls[-1, 1] - calls[0, 1] + 10.0
+        if disturbed:
+            for columns, part in ((slice(2, 4), 1.0), (slice(4, 5), 0.1), (slice(6, 7), 0.3)):
+                calls[:, columns] += rng.normal(size=calls[:, columns].shape) * wild * part
+            calls[:, 5] *= 1.0 + 0.3 * np.sin(np.arange(len(calls)) / 9.0)
+        rows.append(calls)
+    return np.concatenate(rows)
+
+
+def main():
+    """Print what an informed, a learning and the paper's MPC take on a Cortex-M7."""
+    vehicle, road = load_vehicle("midsize-sedan"), load_road("country")
+    plan = plan_speed(road, vehicle)
+    controllers = {
+        "informed": MPC(vehicle, profile="road", learning=None),
+        "informed, 8 changes at most": MPC(vehicle, profile="road", learning=None, solver=ActiveSet(8)),
+        "learning": MPC(vehicle, profile="road", learning=Learning()),
+        "paper": published_mpc(vehicle),
+    }
+    for name, controller in controllers.items():
+        for disturbed in (False, True):
+            calls = driven(controller, road, plan, vehicle, np.random.default_rng(0), disturbed)
+            with tempfile.TemporaryDirectory() as folder:
+                ran = Program(controller, calls, (road, plan), Path(folder), "cortex-m7").on("cortex-m7")
+            many = ran.iterations >= 3
+            slope = np.polyfit(ran.iterations[many], ran.instructions[many], 1)[0] if many.sum() > 99 else np.nan
+            print(
+                f"{name}, {'disturbed' if disturbed else 'as measured'}: {ran.differ} of {len(calls)} differ; "
+                f"instructions {ran.instructions.mean():.0f}, p99 {np.percentile(ran.instructions, 99):.0f}, worst "
+                f"{ran.instructions.max()}; changes {ran.iterations.max():.0f}, each {slope:.0f}; code {ran.code}, "
+                f"constants {ran.constants}, memory {ran.memory}, stack {ran.stack}, path {ran.path}; instructions of "
+                f"init, path, follow: {ran.once}"
+            )
+
+
+if __name__ == "__main__":
+    main()
