@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import random
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ import adaptrack as at
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers.learned import LearnedCar, Learning
 from adaptrack.control.kalman import KalmanFilter
+from adaptrack.core import library
 from adaptrack.core.controllers.mpc import Settings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import size_of
@@ -373,3 +377,27 @@ def test_the_papers_mpc_has_the_numbers_of_its_table(name):
     assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
     assert published.published_constants(row_of(car.Car), 0.1, found) == informed.CAR_WRONG
     assert published.published_constants(vehicle.numbers, math.nan, found) == informed.LOOP_WRONG
+
+
+# -- without Python ---------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+def test_a_program_in_c_makes_the_same_controller(tmp_path):
+    """From mass and wheelbase alone, by the header's names; it is compiled against the library as it is."""
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed")
+    found = library.loaded()
+    if not isinstance(found, library.Library) or found.edited:
+        pytest.skip("needs the library of these sources")
+    program = Path(__file__).parent / "processors" / "make.c"
+    command = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", f"-I{library.BUILT}", str(program), str(found.path)]
+    subprocess.run([*command, "-o", str(tmp_path / "make"), "-lm"], check=True)
+    subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
+    told = np.fromfile(tmp_path / "answers")
+
+    vehicle = at.vehicle_from_data_sheet("mine", 1500.0, 2.7)
+    mpc = at.MPC(vehicle)
+    own = mpc.batch(1, mpc.settings(), curved=True)
+    estimator, numbers = own.informed.estimator, own.informed.learner
+    expected = [mpc.tuning.as_array(), own.parameters, own.feed.turning, np.pad(estimator, (0, 100 - estimator.size)),
+                np.pad(numbers, (0, 100 - numbers.size)), own.informed.fresh]  # fmt: skip
+    assert told.tobytes() == np.concatenate(expected).tobytes()
