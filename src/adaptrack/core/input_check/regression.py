@@ -34,7 +34,7 @@ _square, _full = local(4, 4), local(5)
 
 
 @inlined
-def _pass(own, which, time):
+def pass_on(own, which, time):
     """A window more; what is left of those before."""
     left = exp(-time / MEMORY)
     own.seconds[which] += time
@@ -43,13 +43,13 @@ def _pass(own, which, time):
 
 
 @inlined
-def _decide(own, which, honest, usual, mistake, best, overlap, enough, again):
+def decide(own, which, honest, usual, mistake, best, overlap, enough, again):
     """Take down the usual honest value, and a mistake that is better by enough; the mistake that is certain."""
     own.usual[which] = usual
     better = (honest - best) / (overlap * max(1.0, best / own.count[which]))
     own.repeated[which] = (AGAIN if better > TWICE * enough else own.repeated[which] + 1) if better > enough else 0
     if own.repeated[which] >= again:
-        own.label[which] = whole(HYPOTHESES[mistake, 0])
+        own.label[which] = mistake
     return own.label[which]
 
 
@@ -73,7 +73,7 @@ def compare(own, which, x1, x2, x3, y, noise, time, overlap, intercept, evidence
     """
     gram, full, square = own.grams[which], _full(), _square()
     full[0], full[1], full[2], full[3], full[4] = x1 / noise, x2 / noise, x3 / noise, y / noise, 1.0 / noise
-    left = _pass(own, which, time)
+    left = pass_on(own, which, time)
     for i in range(5):
         for j in range(i, 5):
             gram[i, j] = gram[i, j] * left + full[i] * full[j]
@@ -93,7 +93,7 @@ def compare(own, which, x1, x2, x3, y, noise, time, overlap, intercept, evidence
                 honest, usual = each, row
         elif each < best:
             best, mistake = each, row
-    return _decide(own, which, honest, usual - first, mistake, best, overlap, evidence, AGAIN)
+    return decide(own, which, honest, usual - first, whole(HYPOTHESES[mistake, 0]), best, overlap, evidence, AGAIN)
 
 
 @inlined
@@ -135,7 +135,7 @@ def _misfit_delayed(sums, i, factor, intercept):
 @inlined
 def begin_delayed(own, which, sums, y, weight, time):
     """A window more in a comparison with a bank of delays; what is left of those before."""
-    left = _pass(own, which, time)
+    left = pass_on(own, which, time)
     row = sums[BANKS * DELAYS]
     row[YY], row[Y1], row[ONE] = row[YY] * left + weight * y * y, row[Y1] * left + weight * y, row[ONE] * left + weight
     return left
@@ -170,4 +170,4 @@ def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, ev
     enough = SURE if sure else evidence if label == later else soon
     if label == 1 + MISTAKES.command_too_large:
         enough = large
-    return _decide(own, which, honest, usual, mistake, best, overlap, enough, 1 if sure else AGAIN)
+    return decide(own, which, honest, usual, label, best, overlap, enough, 1 if sure else AGAIN)

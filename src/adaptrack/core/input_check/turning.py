@@ -7,14 +7,13 @@ import math
 from ..controllers.contract import wrapped
 from ..kernel import inlined
 from ..maths.exact import clip
+from .clocks import YAW
 from .frames import ROUGH, course_turns, explain_course
 from .hypotheses import DEGREE, UNKNOWN_STEERING
 from .record import ASKED, COMPARED, DELAY, DELAYS, MISTAKES, SUBJECTS, TICKS, T, named, say
 from .regression import AGAIN, BANKS, EVIDENCE, add_delayed, begin_delayed, compare, compare_delayed
 from .requests import asked, back_to, left_of_beginning
 
-YAW = 0.005
-"""rad, noise of a difference of two samples."""
 import os
 SOON = float(os.environ.get('P_SOON','6'))
 EL=float(os.environ.get('P_EL','18'))
