@@ -19,10 +19,10 @@ MEMORY = 12.0
 """s, after which a window counts 1/e."""
 EVIDENCE, SURE, AGAIN = 12.0, 5.0, 2
 """-, see above; where other measurements point there too; looks in a row at which it must be there."""
-import os
-TWICE = float(os.environ.get('P_TWICE','1e9'))
-UNKNOWN = float(os.environ.get('P_UNKNOWN','0.07'))
+UNKNOWN = 0.07
 """Standard deviation of what was before the beginning, in the unit of y."""
+OVERLAP = 2.0
+"""Windows with a delay that share a sample."""
 BANKS = 3
 """Of delays: of what is asked for as it is, by wheels of a limited rate, by wheels that are thrown about."""
 XX, XY, X1, XH, MM, MY, M1, MH, HH, HY, H1 = range(11)
@@ -47,7 +47,7 @@ def decide(own, which, honest, usual, mistake, best, overlap, enough, again):
     """Take down the usual honest value, and a mistake that is better by enough; the mistake that is certain."""
     own.usual[which] = usual
     better = (honest - best) / (overlap * max(1.0, best / own.count[which]))
-    own.repeated[which] = (AGAIN if better > TWICE * enough else own.repeated[which] + 1) if better > enough else 0
+    own.repeated[which] = own.repeated[which] + 1 if better > enough else 0
     if own.repeated[which] >= again:
         own.label[which] = mistake
     return own.label[which]
@@ -142,16 +142,17 @@ def begin_delayed(own, which, sums, y, weight, time):
 
 
 @inlined
-def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, evidence, soon, large, later, sure):
+def compare_delayed(own, which, hypotheses, sums, intercept, astray, against, small, large, sure):
     """1 + the mistake that is now certain, or 0.
 
-    evidence: that is needed for the mistake `later`; soon: for all others; sure: what else is measured makes a mistake
-    likely.
+    intercept, astray: standard deviations of the intercept, and of that of wheels that are thrown about; against,
+    small, large: evidence that is needed for a wrong sign, and for commands that do too little and too much; sure: what
+    else is measured makes a mistake likely.
     """
     first, end = FIRST[hypotheses], FIRST[hypotheses + 1]
-    least, last = SURE if sure else min(evidence, soon), own.usual[which]
+    least, last = SURE if sure else min(min(against, small), large), own.usual[which]
     factor, place = HYPOTHESES[first + last // (BANKS * DELAYS), 1], last % (BANKS * DELAYS)
-    if _misfit_delayed(sums, place, factor, intercept) < least * overlap:
+    if _misfit_delayed(sums, place, factor, intercept) < least * OVERLAP:
         own.repeated[which] = 0
         return own.label[which]
     honest, best, usual, mistake = math.inf, math.inf, 0, first
@@ -167,7 +168,11 @@ def compare_delayed(own, which, hypotheses, sums, overlap, intercept, astray, ev
             elif each < best:
                 best, mistake = each, row
     label = whole(HYPOTHESES[mistake, 0])
-    enough = SURE if sure else evidence if label == later else soon
+    enough = small
     if label == 1 + MISTAKES.command_too_large:
         enough = large
-    return decide(own, which, honest, usual, label, best, overlap, enough, 1 if sure else AGAIN)
+    elif sure:
+        enough = SURE
+    elif label == 1 + MISTAKES.steering_sign:
+        enough = against
+    return decide(own, which, honest, usual, label, best, OVERLAP, enough, 1 if sure else AGAIN)
