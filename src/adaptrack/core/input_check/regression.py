@@ -118,18 +118,19 @@ def add_delayed(sums, i, left, mean, before, share, y, weight):
 
 
 @inlined
-def _misfit_delayed(sums, i, factor, intercept):
-    """Of y = factor x + c h + intercept, with a free c."""
-    row, whole_row = sums[i], sums[BANKS * DELAYS]
-    if factor >= 0.0:
-        xx, xy, x1, xh = row[XX], row[XY], row[X1], row[XH]
-    else:
+def _parabola(sums, i, against, intercept):
+    """(a, b, c) of the misfit a f^2 - 2 b f + c of y = f x + g h + intercept, with a free g; against: for f < 0."""
+    row, end = sums[i], sums[BANKS * DELAYS]
+    xx, xy, x1, xh = row[XX], row[XY], row[X1], row[XH]
+    if against:
         xx, xy, x1, xh = row[MM], row[MY], row[M1], row[MH]
-    own = factor * factor * xx - 2.0 * factor * xy + whole_row[YY]
-    p, q = factor * xh - row[HY], factor * x1 - whole_row[Y1]
-    a, c = row[HH] + 1.0 / (UNKNOWN * UNKNOWN), whole_row[ONE] + 1.0 / (intercept * intercept)
-    b = row[H1]
-    return own - (c * p * p - 2.0 * b * p * q + a * q * q) / (a * c - b * b)
+    hh, one, h1 = row[HH] + 1.0 / (UNKNOWN * UNKNOWN), end[ONE] + 1.0 / (intercept * intercept), row[H1]
+    hy, y1, scale = row[HY], end[Y1], 1.0 / (hh * one - h1 * h1)
+    return (
+        xx - scale * (one * xh * xh - 2.0 * h1 * xh * x1 + hh * x1 * x1),
+        xy - scale * (one * xh * hy - h1 * (xh * y1 + hy * x1) + hh * x1 * y1),
+        end[YY] - scale * (one * hy * hy - 2.0 * h1 * hy * y1 + hh * y1 * y1),
+    )
 
 
 @inlined
@@ -151,17 +152,24 @@ def compare_delayed(own, which, hypotheses, sums, intercept, astray, against, sm
     """
     first, end = FIRST[hypotheses], FIRST[hypotheses + 1]
     least, last = SURE if sure else min(min(against, small), large), own.usual[which]
-    factor, place = HYPOTHESES[first + last // (BANKS * DELAYS), 1], last % (BANKS * DELAYS)
-    if _misfit_delayed(sums, place, factor, intercept) < least * OVERLAP:
+    factor = HYPOTHESES[first + last // (BANKS * DELAYS), 1]
+    a, b, c = _parabola(sums, last % (BANKS * DELAYS), factor < 0.0, intercept)
+    if factor * (a * factor - 2.0 * b) + c < least * OVERLAP:
         own.repeated[which] = 0
         return own.label[which]
     honest, best, usual, mistake = math.inf, math.inf, 0, first
-    for row in range(first, end):
-        label, factor = HYPOTHESES[row, 0], HYPOTHESES[row, 1]
-        thrown = label == 1.0 + MISTAKES.command_too_large
-        begin = (BANKS - 1) * DELAYS if thrown else 0
-        for i in range(begin, begin + DELAYS if thrown else (BANKS - 1) * DELAYS):
-            each = _misfit_delayed(sums, i, factor, astray if thrown else intercept)
+    for i in range(BANKS * DELAYS):
+        thrown = i >= (BANKS - 1) * DELAYS
+        a, b, c = _parabola(sums, i, False, astray if thrown else intercept)
+        minus_a, minus_b, minus_c = _parabola(sums, i, True, intercept)
+        for row in range(first, end):
+            label, factor = HYPOTHESES[row, 0], HYPOTHESES[row, 1]
+            if thrown != (label == 1.0 + MISTAKES.command_too_large):
+                continue
+            if factor < 0.0:
+                each = factor * (minus_a * factor - 2.0 * minus_b) + minus_c
+            else:
+                each = factor * (a * factor - 2.0 * b) + c
             if label == 0.0:
                 if each < honest:
                     honest, usual = each, (row - first) * BANKS * DELAYS + i
