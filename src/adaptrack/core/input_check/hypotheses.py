@@ -15,14 +15,14 @@ from .record import COMPARED, MISTAKES
 
 DEGREE = math.pi / 180.0
 _HONEST = -1
-_NEAR_ONE = (0.85, 0.95, 1.0, 1.05, 1.15)
+NEAR_ONE = (0.85, 0.95, 1.0, 1.05, 1.15)
 _NONE = (0.0,)
 
 
 def _clocks(late):
     """Of a rate that is summed: gain, and delay in s."""
     return [
-        (_HONEST, _NEAR_ONE, (-0.06, -0.03, 0.0, 0.03, 0.06)),
+        (_HONEST, NEAR_ONE, (-0.06, -0.03, 0.0, 0.03, 0.06)),
         (late, (0.95, 1.0, 1.05), (-0.25, -0.2, -0.15, 0.15, 0.2, 0.25)),
     ]
 
@@ -39,7 +39,7 @@ _COURSE = [
     (MISTAKES.yaw_in_degrees, (DEGREE,)),
 ]
 _TURN = [
-    *_clocks(MISTAKES.yaw_late),
+    _clocks(MISTAKES.yaw_late)[0],
     (MISTAKES.yaw_rate_sign, (-1.0,), _NONE),
     (MISTAKES.yaw_in_degrees_by_its_rate, (40.0, 57.3), _NONE),
     (MISTAKES.yaw_rate_in_degrees, (DEGREE,), _NONE),
@@ -66,7 +66,7 @@ _LATERAL = [  # gain of v_y; shares of lr and lf that the point is ahead of the 
 _TOO_SMALL = (MISTAKES.command_too_small, (0.0, DEGREE, 0.05))
 _TOO_LARGE = (MISTAKES.command_too_large, (0.25, 0.4, 0.6, 0.8, 1.0, 1.25, 1.6))  # of wheels that are thrown about
 _WHEEL = [
-    (_HONEST, _NEAR_ONE),
+    (_HONEST, NEAR_ONE),
     (MISTAKES.wheel_angle_sign, (-1.0,)),
     (MISTAKES.wheel_angle_in_degrees, (57.3,)),
     (MISTAKES.wheel_angle_of_steering_wheel, (11.0, 14.0, 17.0, 20.0)),

@@ -7,7 +7,7 @@ from itertools import pairwise
 from ..kernel import columns, exported, float64, inlined, int64, record, size_of, vector, viewer, void
 from ..maths.bits import left
 
-TICK, WINDOW, TICKS = 0.095, 4, 5
+TICK, WINDOW, TICKS = 0.095, 4, 9
 """s, between two looks at the samples; looks that a window spans, and that are kept."""
 LONGEST = 1.2
 """s, of a window; after a gap the comparison goes on behind it."""
@@ -19,6 +19,8 @@ DELAYS, DELAY = 13, 0.05
 """How many delays between a command and the turning of the car are tried, and their distance (s)."""
 REQUESTED, CLOSEST = 64, 0.02
 """Commands that are kept; s, between two of them: what comes sooner replaces the last one."""
+SHIFTS, SHIFT = 13, 0.05
+"""How many differences of the clocks of yaw and yaw rate are tried, about none, and their distance (s)."""
 COURSES = 10
 """Directions of motion that are kept, with the yaw."""
 
@@ -50,7 +52,7 @@ ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
 NUMBERS = 3
 """Measured numbers that go with a mistake, at most."""
 
-COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering")
+COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering", "clock")
 """The comparisons."""
 SAMPLE = columns(
     "t",  # s, when it was taken
@@ -102,7 +104,8 @@ Memory = record("Memory", (
     ("slips", int64), "calm",  # looks at which the car slides; s, since it no longer does
     ("seconds", (float64, len(COMPARED))), ("count", (float64, len(COMPARED))),  # of each comparison, see `Finding`
     ("repeated", (int64, len(COMPARED))), ("usual", (int64, len(COMPARED))), ("label", (int64, len(COMPARED))),
-    ("grams", (float64, len(COMPARED) - 2, 5, 5)),  # of the regressions
+    ("grams", (float64, len(COMPARED) - 3, 5, 5)),  # of the regressions
+    ("shifted", (float64, SHIFTS, 3)),  # of that of clocks
     ("delayed", (float64, 2, 3 * DELAYS + 1, 11)),  # of those with a delay
 ))  # fmt: skip
 """All that a check remembers."""

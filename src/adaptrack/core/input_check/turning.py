@@ -7,25 +7,15 @@ import math
 from ..controllers.contract import wrapped
 from ..kernel import inlined
 from ..maths.exact import clip
+from .clocks import YAW
 from .frames import ROUGH, course_turns, explain_course
 from .hypotheses import DEGREE, UNKNOWN_STEERING
 from .record import ASKED, COMPARED, DELAY, DELAYS, MISTAKES, SUBJECTS, TICKS, T, named, say
 from .regression import AGAIN, BANKS, EVIDENCE, add_delayed, begin_delayed, compare, compare_delayed
 from .requests import asked, back_to, left_of_beginning
 
-YAW = 0.005
-"""rad, noise of a difference of two samples."""
-import os
-SOON = float(os.environ.get('P_SOON','6'))
-EL=float(os.environ.get('P_EL','18'))
-ELW=float(os.environ.get('P_ELW','12'))
-EW=float(os.environ.get('P_EW','1'))
-N0=float(os.environ.get('P_N0','.006'))
-N1=float(os.environ.get('P_N1','.05'))
-IC=float(os.environ.get('P_IC','.06'))
-AS=float(os.environ.get('P_AS','.15'))
-ASW=float(os.environ.get('P_ASW','.05'))
-"""Evidence of mistakes that nothing honest looks like."""
+SOON, THROWN = 6.0, 18.0
+"""Evidence of mistakes that nothing honest looks like, and of wheels that are thrown about."""
 STEADY = 0.6
 """m/s^2 in a look, by which speed times yaw rate may change where it is compared with the lateral acceleration: a car
 that is swung to and fro moves sideways as well."""
@@ -106,9 +96,8 @@ def compare_steering(turned, rates, aside, own, settings):
     if math.isfinite(last[T.wheel]):
         wheel = (last[T.wheel] * last[T.time] + middle[T.wheel] * middle[T.time]) / span
         _take(COMPARED.wheel, WHEEL, wheel, 0.004, span, own)
-        enough = EW * EVIDENCE
         label = compare_delayed(
-            own, COMPARED.wheel, COMPARED.wheel, own.delayed[WHEEL], 2.0, 0.02, ASW, enough, enough, ELW, 0, False
+            own, COMPARED.wheel, COMPARED.wheel, own.delayed[WHEEL], 0.02, 0.05, EVIDENCE, EVIDENCE, EVIDENCE, False
         )
         if label > MISTAKES.steering_sign:
             say(own, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
@@ -120,14 +109,13 @@ def compare_steering(turned, rates, aside, own, settings):
     apart, most = abs(turned - rates), max(abs(turned), abs(rates))
     if not math.isfinite(rate) or apart > 0.015 + 0.3 * most or abs(aside) > 0.14:
         return
-    against = _take(COMPARED.steering, STEERING, rate, N0 + N1 * abs(rate), span, own)
+    against = _take(COMPARED.steering, STEERING, rate, 0.006 + 0.05 * abs(rate), span, own)
     sure = against and abs(rate) > 0.05 and not apart > 0.4 * most
     hypotheses = COMPARED.steering if settings.known > 0.0 else UNKNOWN_STEERING
+    thrown = (3.0 if math.isfinite(last[T.wheel]) else 1.0) * THROWN  # wheels that are measured say it themselves
     label = compare_delayed(
-        own, COMPARED.steering, hypotheses, own.delayed[STEERING], 2.0, IC, AS, 1.3 * EVIDENCE, SOON,
-        (3.0 if math.isfinite(last[T.wheel]) else 1.0) * EL,
-        1 + MISTAKES.steering_sign, sure,
-    )  # fmt: skip
+        own, COMPARED.steering, hypotheses, own.delayed[STEERING], 0.06, 0.15, 1.3 * EVIDENCE, SOON, thrown, sure
+    )
     if label > 0:
         say(own, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
         if label == 1 + MISTAKES.steering_sign:
