@@ -16,10 +16,13 @@ import pytest
 import adaptrack as at
 import adaptrack.export
 from adaptrack import cli
-from adaptrack.core.kernel import Resident
+from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.tracker.records import SAMPLE
+from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.units import car as kernel
 from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
+from adaptrack.export.tracking import record_of
 from adaptrack.export.units import car_unit, controller_unit
 from exported import STRICT, compiler
 from fmus import Instance, Signals, needed
@@ -205,6 +208,26 @@ def test_the_controller_is_the_tracker_to_the_bit(name, folder):
     states = drive(folder, name, watch=watch)
     assert sum(differ) == 0
     assert states[-1][0] != states[0][0]
+
+
+def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
+    made = at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn"))
+    tracking = record_of(made, country().road, country().plan)
+    step, mind = direct(tracker_step, tracking), Instance(
+        write_fmu(controller_unit(made, country().road, country().plan), folder / "schedule.fmu"), folder,
+        friction_known=True,
+    )  # fmt: skip
+    place = country().road.at(np.arange(30) * 1.2)
+    for k in range(30):
+        sample = {"x": float(place.x[k]), "y": float(place.y[k]) + 0.2, "yaw": float(place.heading[k]), "speed": 12.0}
+        sample |= {"yaw_rate": 0.0, "friction": 0.3 + 0.02 * k}
+        mind.step(**sample)
+        tracking.tracker.sample[:] = math.nan
+        for name, value in (sample | {"t": k * 0.1, "now": k * 0.1}).items():
+            tracking.tracker.sample[SAMPLE._fields.index(name)] = value
+        step()
+        assert same(mind.get("command", "offset", "station"), tracking.tracker.tracked[[0, 2, 4]])
+    assert len(np.unique(tracking.step.tuning)) > 1
 
 
 def test_both_orders_of_the_exchange_drive_alike_to_the_bit(folder):

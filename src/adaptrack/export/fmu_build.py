@@ -113,6 +113,8 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
         (work / "exports").write_text(EXPORTS)
         names = [each.name for each in SOURCES if each.suffix == ".c"]
         options = [each.format(exports="exports") for each in system.options]
+        if "ziglang" in command:  # without a library it has no headers of one either
+            options = [each for each in options if each != "-nostdlib"]
         given = [
             *command,
             *FLAGS,
