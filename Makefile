@@ -96,8 +96,8 @@ LOCKED := --extra compile --extra solvers --extra cluster --extra docs --extra d
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
-	$(COMPILE) --extra bench --extra commonroad --extra gym --extra link --extra plants --constraints requirements.lock --output-file requirements-extras.lock
+	$(COMPILE) --extra bench --extra commonroad --extra fmu --extra gym --extra link --extra plants --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
-	rm -rf .venv build dist results docs/_build src/adaptrack/core/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist results docs/_build src/adaptrack/core/built src/adaptrack/export/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

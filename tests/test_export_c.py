@@ -611,6 +611,11 @@ def test_room_is_bounded_by_tuning_and_controller():
     assert tracking_block(mpc, (60, 20)).memory_size > tracking_block(mpc).memory_size
 
 
+def test_a_recorded_drive_that_fails_is_said(tmp_path):
+    words = ["export", "c", "--vehicle", "midsize-sedan", "--controller", "stanley", "--out", str(tmp_path)]
+    assert "Warning: on the recorded drive, at " in CliRunner().invoke(app, words).output
+
+
 def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
     words = ["export", "c", "--vehicle", "midsize-sedan", "--controller", "stanley", "--road", "town", "--out",
              str(tmp_path / "out")]  # fmt: skip

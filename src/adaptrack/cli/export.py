@@ -131,4 +131,6 @@ def export_c(given: ExportOptions) -> None:
     show.say(
         f"Constants {made.constants_size:,} bytes, a tracker {made.memory_size:,}, a saved state {made.state_size:,}."
     )
+    if made.failed:
+        show.say(f"Warning: on the recorded drive, {made.failed}. --speed drives it more slowly, --road another road.")
     show.say(next_line("to see that it drives as it does here", f"make -C {made.folder} check"))

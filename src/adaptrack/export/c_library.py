@@ -55,6 +55,8 @@ class Exported:
     """bytes of a saved state"""
     steps: int
     """of the recorded drive"""
+    failed: str = ""
+    """when and why its car failed, in words: it proves equality all the same; empty where it did not"""
 
 
 def export_c(
@@ -116,8 +118,9 @@ def export_c(
     for each, file in files.items():
         _write(target / "lib" / each / KERNELS_FILE, file.read_bytes())
     return Exported(
-        target, tuple(files), len(block.content), 64 + block.memory_size, 48 + block.state_size, len(driven.samples)
-    )
+        target, tuple(files), len(block.content), 64 + block.memory_size, 48 + block.state_size, len(driven.samples),
+        driven.failed,
+    )  # fmt: skip
 
 
 # -- object files -----------------------------------------------------------------------------------------------------

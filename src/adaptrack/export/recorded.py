@@ -47,6 +47,8 @@ class Recorded:
     """(calls, SAMPLE)"""
     answers: Array
     """(calls, ANSWER)"""
+    failed: str = ""
+    """when and why the car failed, in words; empty where it did not"""
 
 
 def record_drive(
@@ -67,6 +69,7 @@ def record_drive(
     InvalidInput
         When the controller cannot be tracked, or the drive ends before its first instant.
     """
+    from adaptrack.drive.failure import find_failure
     from adaptrack.drive.simulate import simulate
 
     points, closed = _points(road, seconds, float(plan.speed.max()))
@@ -75,10 +78,12 @@ def record_drive(
     car = getattr(controller, "vehicle", None)
     planned = constant_speed(path, float(plan.speed[0])) if steady or car is None else _planned(path, car, plan)
     driver = _Driver(controller, path, _thinned(planned), seconds)
-    simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
+    run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
+    found = find_failure(run)
+    failed = f"at {found.time:.1f} s the vehicle {found.clause}" if found is not None and found.time < seconds else ""
     if not driver.samples:
         raise InvalidInput(f"export: the road {road.name!r} is too short to be driven.")
-    return Recorded(points, closed, driver.plan, np.array(driver.samples), np.array(driver.answers))
+    return Recorded(points, closed, driver.plan, np.array(driver.samples), np.array(driver.answers), failed)
 
 
 def _planned(path: Road, car: Vehicle, plan: SpeedPlan) -> SpeedPlan:
