@@ -271,7 +271,7 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
 
     begun = time.monotonic()
     own = of_this_kind() if portable else [library.processor()]
-    asked = {
+    asked: dict[str, tuple[Any, dict[str, Any], list[str]]] = {
         "libraries": (emit, TARGETS, [*own, *names]),
         "exports": (emit_export, EXPORTS, [*shipped(own, portable), *exports]),
     }
