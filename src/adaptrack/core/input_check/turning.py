@@ -14,7 +14,7 @@ from .record import ASKED, COMPARED, DELAY, DELAYS, MISTAKES, SUBJECTS, TICKS, T
 from .regression import AGAIN, BANKS, EVIDENCE, add_delayed, begin_delayed, compare, compare_delayed
 from .requests import asked, back_to, left_of_beginning
 
-SOON, THROWN = 6.0, 18.0
+SOON, THROWN = 18.0, 18.0
 """Evidence of mistakes that nothing honest looks like, and of wheels that are thrown about."""
 STEADY = 0.6
 """m/s^2 in a look, by which speed times yaw rate may change where it is compared with the lateral acceleration: a car
@@ -109,12 +109,21 @@ def compare_steering(turned, rates, aside, own, settings):
     apart, most = abs(turned - rates), max(abs(turned), abs(rates))
     if not math.isfinite(rate) or apart > 0.015 + 0.3 * most or abs(aside) > 0.14:
         return
-    against = _take(COMPARED.steering, STEERING, rate, 0.006 + 0.05 * abs(rate), span, own)
+    against = _take(COMPARED.steering, STEERING, rate, 0.012 + 0.05 * abs(rate), span, own)
     sure = against and abs(rate) > 0.05 and not apart > 0.4 * most
     hypotheses = COMPARED.steering if settings.known > 0.0 else UNKNOWN_STEERING
-    thrown = (3.0 if math.isfinite(last[T.wheel]) else 1.0) * THROWN  # wheels that are measured say it themselves
+    more = 3.0 if math.isfinite(last[T.wheel]) else 1.0  # wheels that are measured say it themselves
     label = compare_delayed(
-        own, COMPARED.steering, hypotheses, own.delayed[STEERING], 0.06, 0.15, 1.3 * EVIDENCE, SOON, thrown, sure
+        own,
+        COMPARED.steering,
+        hypotheses,
+        own.delayed[STEERING],
+        0.06,
+        0.15,
+        1.3 * EVIDENCE,
+        more * SOON,
+        more * THROWN,
+        sure,
     )
     if label > 0:
         say(own, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
