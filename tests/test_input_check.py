@@ -15,10 +15,11 @@ from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.cli import main
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Stanley
-from adaptrack.control.input_check import InputCheck
+from adaptrack.control.input_check import SENTENCES, InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.input_check.record import ABOUT, MISTAKES
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -287,3 +288,21 @@ def test_a_steering_rate_in_degrees_is_refused_with_what_it_would_be():
         InvalidInput, match=r"rate = 30: no road wheels turn at 30 rad/s.*degrees per second give 0\.52"
     ):
         Steering(rate=30)
+
+
+# -- the kernel -------------------------------------------------------------------------------------------------------
+@pytest.mark.kernels
+def test_a_check_whose_numbers_are_copied_goes_on_as_the_one_they_are_from():
+    own, other, noise = InputCheck(CAR, 0.05), InputCheck(CAR, 0.05), random.Random(3)
+    rows = [(0.05 * k, 0.05 * k, (0.75 * k, noise.gauss(0.0, 0.03), 0.0), 3.6 * 15.0, 0.0) for k in range(30)]
+    for row in rows[:8]:
+        own.add(*row)
+    other.check.memory[:] = own.check.memory
+    assert [own.add(*row) for row in rows[8:]] == [other.add(*row) for row in rows[8:]]
+    assert "km/h" in own.suspect[0]
+
+
+def test_each_mistake_has_a_sentence_and_one_subject():
+    assert len(SENTENCES) == len(MISTAKES)
+    assert sum(ABOUT) == 2 ** len(MISTAKES) - 1
+    assert all(sentence.format(1.0, 2.0, 3.0) for sentence in SENTENCES)

@@ -13,6 +13,7 @@ from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, int64, vector, void
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
+from .clocks import compare_clocks
 from .frames import compare_course
 from .place import compare_sideways
 from .record import (
@@ -155,6 +156,7 @@ def _look(own, settings):
         compare_course(aside, course, yaw, far, rate, own, settings)
     if math.isfinite(turned + rates) and not (posed and own.askew > 0):
         compare_turn(turned, rates, start, time, own)
+        compare_clocks(own)
     if posed:
         compare_sideways(aside, far, time, rate, sideways / time, own, settings)
     compare_pull(own)
@@ -182,7 +184,8 @@ def check_call(sample, command, check):
         own.t = -math.inf
     _check_clock(sample, own, settings)
     if math.isfinite(speed):
-        go_on(now, speed, command if math.isfinite(command) else 0.0, own, settings)
+        next_command = command if math.isfinite(command) else 0.0
+        go_on(now, speed, sample[SAMPLE.yaw_rate], sample[SAMPLE.wheel_angle], next_command, own, settings)
     same = True
     for i in range(3):
         same = same and sample[SAMPLE.x + i] == own.pose[i]

@@ -10,10 +10,13 @@ from ..controllers.contract import wrapped
 from ..kernel import inlined
 from .hypotheses import DEGREE
 from .record import COMPARED, COURSES, MISTAKES, SUBJECTS, TICKS, T, say
-from .regression import AGAIN, EVIDENCE, compare
+from .regression import AGAIN, compare
 
-GENTLE, ROUGH = 2.5, 5.0
-"""m/s^2, lateral: of what says which point of the car is measured, of what says that frames differ."""
+GENTLE, ROUGH, STEEP = 2.5, 5.0, 6.0
+"""m/s^2, lateral: of what says which point of the car is measured, of what says that frames differ, and by which the
+course turns."""
+MIRRORED = 4.0
+"""Evidence that is needed where the course turns against the yaw: nothing honest looks like it."""
 ASKEW, TURNED = 0.1, 0.3
 """rad: beside what sideslip explains, positions that move further beside the yaw are of another frame; that the yaw
 must have changed before both are known to agree."""
@@ -62,9 +65,9 @@ def compare_course(aside, course, yaw, far, rate, own, settings):
     own.course = (own.course + 1) % COURSES
     own.course_count = min(own.course_count + 1, COURSES)
     own.courses[own.course, 0], own.courses[own.course, 1] = course, yaw
-    if max(abs(turned), abs(gone)) < 1.5 and pull < GENTLE:
-        noise = 0.008 + 0.045 / far + 0.3 * abs(rolling)
-        if compare(own, COMPARED.course, turned, 0.0, 0.0, gone, noise, last[T.time], 4.0, 0.02, EVIDENCE) > 0:
+    if max(abs(turned), abs(gone)) < 1.5 and pull < STEEP:
+        noise = 0.008 + 0.01 / far + 0.3 * abs(rolling) + 0.003 * pull
+        if compare(own, COMPARED.course, turned, 0.0, 0.0, gone, noise, last[T.time], 4.0, 0.012, MIRRORED) > 0:
             explain_course(own)
     own.yaw_least, own.yaw_most = min(own.yaw_least, yaw), max(own.yaw_most, yaw)
     if abs(aside) < 0.2:

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from ..kernel import columns, exported, float64, inlined, int64, record, size_of, vector, viewer, void
 
-TICK, WINDOW, TICKS = 0.095, 4, 5
+TICK, WINDOW, TICKS = 0.095, 4, 9
 """s, between two looks at the samples; looks that a window spans, and that are kept."""
 LONGEST = 1.2
 """s, of a window; after a gap the comparison goes on behind it."""
@@ -14,10 +14,12 @@ SLOW = 3.0
 """m/s: slower, nothing is compared."""
 POSITION = 0.045
 """m, noise of a difference of two positions."""
-DELAYS, DELAY = 7, 0.1
+DELAYS, DELAY = 13, 0.05
 """How many delays between a command and the turning of the car are tried, and their distance (s)."""
 REQUESTED, CLOSEST = 64, 0.02
 """Commands that are kept; s, between two of them: what comes sooner replaces the last one."""
+SHIFTS, SHIFT = 13, 0.05
+"""How many differences of the clocks of yaw and yaw rate are tried, about none, and their distance (s)."""
 COURSES = 10
 """Directions of motion that are kept, with the yaw."""
 
@@ -49,7 +51,7 @@ ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
 NUMBERS = 3
 """Measured numbers that go with a mistake, at most."""
 
-COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering")
+COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering", "clock")
 """The comparisons."""
 SAMPLE = columns(
     "t",  # s, when it was taken
@@ -76,6 +78,9 @@ settings_of = viewer(Settings)
 
 T = columns("t", "time", "x", "y", "yaw", "speed", "turned", "way", "yaw_rate", "vy", "pull", "wheel")
 """The car at a look, and means and changes since the look before: turned (rad), of the yaw; way (m), by the speed."""
+ASKED = columns("t", "turning", "limited_turning", "thrown_turning", "angle", "limited_angle", "thrown_angle")
+"""Of a call, its time and integrals of what the commands ask for; limited: by wheels of a
+limited rate; thrown: if the commands were sent in degrees."""
 Memory = record("Memory", (
     ("suspect", int64),  # bits of `MISTAKES`: those named so far
     ("against_steering", int64),  # 1: the car turns against its commands
@@ -87,8 +92,9 @@ Memory = record("Memory", (
     ("last", (float64, 5)),  # speed, yaw rate, v_y, lateral acceleration and wheel angle of the last sample
     "summed", ("sums", (float64, 5)),  # s since the last look, and their integrals
     ("tick_count", int64), ("ticks", (float64, TICKS, len(T))),  # looks, the last one at the end
-    "command", "lagged", ("begun_with", (float64, 2)),  # rad; behind the lag; turning and angle at the beginning
-    ("request_count", int64), ("request", int64), ("requests", (float64, REQUESTED, 3)),  # time, integrals of both
+    "command", "lagged", "limited", "thrown",  # rad; behind the lag; with limited rate; as thrown about
+    ("begun_with", (float64, 2)),  # turning and angle at the beginning
+    ("request_count", int64), ("request", int64), ("requests", (float64, REQUESTED, len(ASKED))),
     ("steps", int64), ("jumped", int64), ("askew", int64), ("degrees", int64),  # looks in a row at a mistake
     ("agreed", int64), ("confirmed", int64),  # looks at which positions move along the yaw; whether in bends, too
     "origin", "yaw_least", "yaw_most",  # rad
@@ -97,8 +103,9 @@ Memory = record("Memory", (
     ("slips", int64), "calm",  # looks at which the car slides; s, since it no longer does
     ("seconds", (float64, len(COMPARED))), ("count", (float64, len(COMPARED))),  # of each comparison, see `Finding`
     ("repeated", (int64, len(COMPARED))), ("usual", (int64, len(COMPARED))), ("label", (int64, len(COMPARED))),
-    ("grams", (float64, len(COMPARED) - 2, 5, 5)),  # of the regressions
-    ("delayed", (float64, 2, DELAYS + 1, 11)),  # of those with a delay
+    ("grams", (float64, len(COMPARED) - 3, 5, 5)),  # of the regressions
+    ("shifted", (float64, SHIFTS, 3)),  # of that of clocks
+    ("delayed", (float64, 2, 3 * DELAYS + 1, 11)),  # of those with a delay
 ))  # fmt: skip
 """All that a check remembers."""
 memory_of = viewer(Memory)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 
 from ..kernel import inlined
+from ..maths.exact import clip
 from ..maths.exponential import exp
-from .record import CLOSEST, LONGEST, REQUESTED, SLOW
+from .record import ASKED, CLOSEST, LONGEST, REQUESTED, SLOW
 
 LAG = 0.15
 """s, between a command and the turning of the car, beside the delays that are tried."""
 STEEP = 6.0
 """m/s^2, beyond which no car need turn as it is steered."""
+DEGREES, RATE, LIMIT = 180.0 / math.pi, 0.5, 0.52
+"""A command sent in degrees throws the wheels about: factor, and rate (rad/s) and angle (rad) that they can."""
 
 
 @inlined
@@ -22,47 +25,62 @@ def _gain(speed, settings):
 
 
 @inlined
-def go_on(now, speed, command, own, settings):
+def go_on(now, speed, yaw_rate, wheel, command, own, settings):
     """Go on with what the commands ask for to the time of a call; command: in force from now on."""
     step = now - own.now
     if not 0.0 < step < LONGEST or own.request_count == 0:
         own.request_count, own.request = 1, 0
         row = own.requests[0]
-        row[0], row[1], row[2] = now, 0.0, 0.0
-        own.begun_at, own.command, own.lagged = now, command, 0.0
-        own.begun_with[0], own.begun_with[1] = command * _gain(speed, settings), command
+        row[ASKED.t] = now
+        for i in range(1, len(ASKED)):
+            row[i] = 0.0
+        gain = _gain(max(speed, SLOW), settings)
+        turning = yaw_rate if math.isfinite(yaw_rate) and speed > SLOW else command * gain
+        angle = clip(wheel if math.isfinite(wheel) else turning / gain, -LIMIT, LIMIT)
+        own.begun_at, own.command, own.lagged, own.limited, own.thrown = now, command, 0.0, angle, angle
+        own.begun_with[0], own.begun_with[1] = turning, angle
         return
     last = own.request
     newest = own.requests[last]
-    before = own.lagged
-    own.lagged += (own.command - before) * (1.0 - exp(-step / LAG))
-    middle, most = 0.5 * (before + own.lagged), STEEP / max(speed, SLOW)
-    rate = min(max(middle * _gain(speed, settings), -most), most)
-    turning, angle = newest[1] + step * rate, newest[2] + step * middle
-    apart = newest[0] - own.requests[(last + REQUESTED - 1) % REQUESTED, 0]
+    apart = newest[ASKED.t] - own.requests[(last + REQUESTED - 1) % REQUESTED, ASKED.t]
     if own.request_count < 2 or apart >= CLOSEST:
         last = (last + 1) % REQUESTED
         own.request, own.request_count = last, min(own.request_count + 1, REQUESTED)
-    row = own.requests[last]
-    row[0], row[1], row[2] = now, turning, angle
+    row, lagged, limited, thrown = own.requests[last], own.lagged, own.limited, own.thrown
+    left = 1.0 - exp(-step / LAG)
+    own.lagged += (own.command - lagged) * left
+    own.limited += clip((own.command - limited) * left, -RATE * step, RATE * step)
+    own.thrown += clip(clip(DEGREES * own.command, -LIMIT, LIMIT) - thrown, -RATE * step, RATE * step)
+    lagged, limited, thrown = 0.5 * (lagged + own.lagged), 0.5 * (limited + own.limited), 0.5 * (thrown + own.thrown)
+    gain, most = _gain(speed, settings), STEEP / max(speed, SLOW)
+    row[ASKED.t] = now
+    row[ASKED.turning] = newest[ASKED.turning] + step * clip(gain * lagged, -most, most)
+    row[ASKED.limited_turning] = newest[ASKED.limited_turning] + step * clip(gain * limited, -most, most)
+    row[ASKED.thrown_turning] = newest[ASKED.thrown_turning] + step * clip(gain * thrown, -most, most)
+    row[ASKED.angle] = newest[ASKED.angle] + step * lagged
+    row[ASKED.limited_angle] = newest[ASKED.limited_angle] + step * limited
+    row[ASKED.thrown_angle] = newest[ASKED.thrown_angle] + step * thrown
     own.command = command
 
 
 @inlined
-def asked(t, back, own):
-    """Integrals of turning and angle at a time (s), and how many commands back it is; ends hold.
-
-    back: where to begin to look, from the newest command.
-    """
+def back_to(t, back, own):
+    """How many commands back the last one before a time (s) is, looked for from `back` on; the first one at least."""
     count, last, rows = own.request_count, own.request, own.requests
-    while back < count - 1 and rows[(last + REQUESTED - back) % REQUESTED, 0] > t:
+    while back < count - 1 and rows[(last + REQUESTED - back) % REQUESTED, ASKED.t] > t:
         back += 1
-    row = rows[(last + REQUESTED - back) % REQUESTED]
-    if back == 0 or row[0] > t:
-        return row[1], row[2], back
-    after = rows[(last + REQUESTED - back + 1) % REQUESTED]
-    share = (t - row[0]) / (after[0] - row[0])
-    return row[1] + share * (after[1] - row[1]), row[2] + share * (after[2] - row[2]), back
+    return back
+
+
+@inlined
+def asked(t, back, which, own):
+    """An integral (`ASKED`) at a time (s) behind the command that is so many back; ends hold."""
+    last = own.request
+    row = own.requests[(last + REQUESTED - back) % REQUESTED]
+    if back == 0 or row[ASKED.t] > t:
+        return row[which]
+    after = own.requests[(last + REQUESTED - back + 1) % REQUESTED]
+    return row[which] + (t - row[ASKED.t]) / (after[ASKED.t] - row[ASKED.t]) * (after[which] - row[which])
 
 
 @inlined
