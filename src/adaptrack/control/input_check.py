@@ -172,4 +172,4 @@ class InputCheck:
     def _sentence(self, mistake: int) -> str:
         """A mistake in words."""
         (subject,) = (i for i, bits in enumerate(ABOUT) if bits >> mistake & 1)
-        return SENTENCES[mistake].format(*self._memory.told[subject])
+        return SENTENCES[mistake].format(*self._memory.measured[subject])

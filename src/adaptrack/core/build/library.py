@@ -271,16 +271,16 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
 
     begun = time.monotonic()
     own = of_this_kind() if portable else [library.processor()]
-    asked: dict[str, tuple[Any, dict[str, Any], list[str]]] = {
+    requested: dict[str, tuple[Any, dict[str, Any], list[str]]] = {
         "libraries": (emit, TARGETS, [*own, *names]),
         "exports": (emit_export, EXPORTS, [*shipped(own, portable), *exports]),
     }
-    jobs = [(what, name) for what, (_, _, wanted) in asked.items() for name in dict.fromkeys(wanted)
+    jobs = [(what, name) for what, (_, _, wanted) in requested.items() for name in dict.fromkeys(wanted)
             if name not in _built(what)]  # fmt: skip
     if not jobs:
         _say(f"The kernels are compiled already: {library.BUILT}")
         return
-    unknown = [f"{name} ({', '.join(asked[what][1])})" for what, name in jobs if name not in asked[what][1]]
+    unknown = [f"{name} ({', '.join(requested[what][1])})" for what, name in jobs if name not in requested[what][1]]
     if unknown:
         raise BuildError(f"no such processor: {'; '.join(unknown)}.")
     cores = min(2, os.cpu_count() or 1)
@@ -293,9 +293,9 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
         raise BuildError("\n".join(found))
     _say(f"  {len(kernels)} kernels, {time.monotonic() - begun:.0f} s")
     library.BUILT.mkdir(exist_ok=True)
-    made: dict[str, dict[str, dict[str, str]]] = {what: {} for what in asked}
+    made: dict[str, dict[str, dict[str, str]]] = {what: {} for what in requested}
     with multiprocessing.get_context("spawn").Pool(min(cores, len(jobs))) as pool:
-        waiting = [pool.apply_async(asked[what][0], (whole, name)) for what, name in jobs]
+        waiting = [pool.apply_async(requested[what][0], (whole, name)) for what, name in jobs]
         for (what, name), each in zip(jobs, waiting, strict=True):
             content = each.get()
             stem, ending = f"export-{name}", "o"

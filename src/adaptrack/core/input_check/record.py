@@ -79,7 +79,7 @@ settings_of = viewer(Settings)
 
 T = columns("t", "time", "x", "y", "yaw", "speed", "turned", "way", "yaw_rate", "vy", "pull", "wheel")
 """The car at a look, and means and changes since the look before: turned (rad), of the yaw; way (m), by the speed."""
-ASKED = columns("t", "turning", "limited_turning", "thrown_turning", "angle", "limited_angle", "thrown_angle")
+INTEGRAL = columns("t", "turning", "limited_turning", "thrown_turning", "angle", "limited_angle", "thrown_angle")
 """Of a call, its time and integrals of what the commands ask for; limited: by wheels of a
 limited rate; thrown: if the commands were sent in degrees."""
 Memory = record("Memory", (
@@ -87,7 +87,7 @@ Memory = record("Memory", (
     ("against_steering", int64),  # 1: the car turns against its commands
     ("sliding", int64),  # 1: the car slides
     "sideslip",  # rad; NaN: not known
-    ("told", (float64, len(SUBJECTS), NUMBERS)),  # what was measured where a mistake was named
+    ("measured", (float64, len(SUBJECTS), NUMBERS)),  # what was measured where a mistake was named
     "now", "t", "begun_at", "tick",  # s: the last call, sample, beginning of the commands and look
     ("pose", (float64, 3)),  # of the last call
     ("last", (float64, 5)),  # speed, yaw rate, v_y, lateral acceleration and wheel angle of the last sample
@@ -95,7 +95,7 @@ Memory = record("Memory", (
     ("tick_count", int64), ("ticks", (float64, TICKS, len(T))),  # looks, the last one at the end
     "command", "lagged", "limited", "thrown",  # rad; behind the lag; with limited rate; as thrown about
     ("begun_with", (float64, 2)),  # turning and angle at the beginning
-    ("request_count", int64), ("request", int64), ("requests", (float64, REQUESTED, len(ASKED))),
+    ("request_count", int64), ("request", int64), ("requests", (float64, REQUESTED, len(INTEGRAL))),
     ("steps", int64), ("jumped", int64), ("askew", int64), ("degrees", int64),  # looks in a row at a mistake
     ("agreed", int64), ("confirmed", int64),  # looks at which positions move along the yaw; whether in bends, too
     "origin", "yaw_least", "yaw_most",  # rad
@@ -121,7 +121,7 @@ def say(own, subject, mistake, a, b, c):
     """Name a mistake, unless one of its subject has been named; with what was measured."""
     if own.suspect & ABOUT[subject] == 0:
         own.suspect |= left(1, mistake)
-        own.told[subject, 0], own.told[subject, 1], own.told[subject, 2] = a, b, c
+        own.measured[subject, 0], own.measured[subject, 1], own.measured[subject, 2] = a, b, c
 
 
 @inlined

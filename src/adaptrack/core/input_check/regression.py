@@ -24,7 +24,7 @@ UNKNOWN = 0.07
 OVERLAP = 2.0
 """Windows with a delay that share a sample."""
 BANKS = 3
-"""Of delays: of what is asked for as it is, by wheels of a limited rate, by wheels that are thrown about."""
+"""Of delays: of what is requested as it is, by wheels of a limited rate, by wheels that are thrown about."""
 XX, XY, X1, XH, MM, MY, M1, MH, HH, HY, H1 = range(11)
 """Sums of a delay: of what was requested (x), the same with what was before its negative (m), y, 1, and h."""
 YY, Y1, ONE = range(3)
@@ -143,10 +143,10 @@ def begin_delayed(own, which, sums, y, weight, time):
 
 
 @inlined
-def compare_delayed(own, which, hypotheses, sums, intercept, astray, against, small, large, sure):
+def compare_delayed(own, which, hypotheses, sums, intercept, loose, against, small, large, sure):
     """1 + the mistake that is now certain, or 0.
 
-    intercept, astray: standard deviations of the intercept, and of that of wheels that are thrown about; against,
+    intercept, loose: standard deviations of the intercept, and of that of wheels that are thrown about; against,
     small, large: evidence that is needed for a wrong sign, and for commands that do too little and too much; sure: what
     else is measured makes a mistake likely.
     """
@@ -160,7 +160,7 @@ def compare_delayed(own, which, hypotheses, sums, intercept, astray, against, sm
     honest, best, usual, mistake = math.inf, math.inf, 0, first
     for i in range(BANKS * DELAYS):
         thrown = i >= (BANKS - 1) * DELAYS
-        a, b, c = _parabola(sums, i, False, astray if thrown else intercept)
+        a, b, c = _parabola(sums, i, False, loose if thrown else intercept)
         minus_a, minus_b, minus_c = _parabola(sums, i, True, intercept)
         for row in range(first, end):
             label, factor = HYPOTHESES[row, 0], HYPOTHESES[row, 1]

@@ -7,7 +7,7 @@ import math
 from ..kernel import inlined
 from ..maths.exact import clip
 from ..maths.exponential import exp
-from .record import ASKED, CLOSEST, LONGEST, REQUESTED, SLOW
+from .record import CLOSEST, INTEGRAL, LONGEST, REQUESTED, SLOW
 
 LAG = 0.15
 """s, between a command and the turning of the car, beside the delays that are tried."""
@@ -31,8 +31,8 @@ def go_on(now, speed, yaw_rate, wheel, command, own, settings):
     if not 0.0 < step < LONGEST or own.request_count == 0:
         own.request_count, own.request = 1, 0
         row = own.requests[0]
-        row[ASKED.t] = now
-        for i in range(1, len(ASKED)):
+        row[INTEGRAL.t] = now
+        for i in range(1, len(INTEGRAL)):
             row[i] = 0.0
         gain = _gain(max(speed, SLOW), settings)
         turning = yaw_rate if math.isfinite(yaw_rate) and speed > SLOW else command * gain
@@ -42,7 +42,7 @@ def go_on(now, speed, yaw_rate, wheel, command, own, settings):
         return
     last = own.request
     newest = own.requests[last]
-    apart = newest[ASKED.t] - own.requests[(last + REQUESTED - 1) % REQUESTED, ASKED.t]
+    apart = newest[INTEGRAL.t] - own.requests[(last + REQUESTED - 1) % REQUESTED, INTEGRAL.t]
     if own.request_count < 2 or apart >= CLOSEST:
         last = (last + 1) % REQUESTED
         own.request, own.request_count = last, min(own.request_count + 1, REQUESTED)
@@ -53,13 +53,13 @@ def go_on(now, speed, yaw_rate, wheel, command, own, settings):
     own.thrown += clip(clip(DEGREES * own.command, -LIMIT, LIMIT) - thrown, -RATE * step, RATE * step)
     lagged, limited, thrown = 0.5 * (lagged + own.lagged), 0.5 * (limited + own.limited), 0.5 * (thrown + own.thrown)
     gain, most = _gain(speed, settings), STEEP / max(speed, SLOW)
-    row[ASKED.t] = now
-    row[ASKED.turning] = newest[ASKED.turning] + step * clip(gain * lagged, -most, most)
-    row[ASKED.limited_turning] = newest[ASKED.limited_turning] + step * clip(gain * limited, -most, most)
-    row[ASKED.thrown_turning] = newest[ASKED.thrown_turning] + step * clip(gain * thrown, -most, most)
-    row[ASKED.angle] = newest[ASKED.angle] + step * lagged
-    row[ASKED.limited_angle] = newest[ASKED.limited_angle] + step * limited
-    row[ASKED.thrown_angle] = newest[ASKED.thrown_angle] + step * thrown
+    row[INTEGRAL.t] = now
+    row[INTEGRAL.turning] = newest[INTEGRAL.turning] + step * clip(gain * lagged, -most, most)
+    row[INTEGRAL.limited_turning] = newest[INTEGRAL.limited_turning] + step * clip(gain * limited, -most, most)
+    row[INTEGRAL.thrown_turning] = newest[INTEGRAL.thrown_turning] + step * clip(gain * thrown, -most, most)
+    row[INTEGRAL.angle] = newest[INTEGRAL.angle] + step * lagged
+    row[INTEGRAL.limited_angle] = newest[INTEGRAL.limited_angle] + step * limited
+    row[INTEGRAL.thrown_angle] = newest[INTEGRAL.thrown_angle] + step * thrown
     own.command = command
 
 
@@ -67,20 +67,20 @@ def go_on(now, speed, yaw_rate, wheel, command, own, settings):
 def back_to(t, back, own):
     """How many commands back the last one before a time (s) is, looked for from `back` on; the first one at least."""
     count, last, rows = own.request_count, own.request, own.requests
-    while back < count - 1 and rows[(last + REQUESTED - back) % REQUESTED, ASKED.t] > t:
+    while back < count - 1 and rows[(last + REQUESTED - back) % REQUESTED, INTEGRAL.t] > t:
         back += 1
     return back
 
 
 @inlined
-def asked(t, back, which, own):
-    """An integral (`ASKED`) at a time (s) behind the command that is so many back; ends hold."""
+def requested(t, back, which, own):
+    """An integral (`INTEGRAL`) at a time (s) behind the command that is so many back; ends hold."""
     last = own.request
     row = own.requests[(last + REQUESTED - back) % REQUESTED]
-    if back == 0 or row[ASKED.t] > t:
+    if back == 0 or row[INTEGRAL.t] > t:
         return row[which]
     after = own.requests[(last + REQUESTED - back + 1) % REQUESTED]
-    return row[which] + (t - row[ASKED.t]) / (after[ASKED.t] - row[ASKED.t]) * (after[which] - row[which])
+    return row[which] + (t - row[INTEGRAL.t]) / (after[INTEGRAL.t] - row[INTEGRAL.t]) * (after[which] - row[which])
 
 
 @inlined

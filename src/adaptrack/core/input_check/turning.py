@@ -10,9 +10,9 @@ from ..maths.exact import clip
 from .clocks import YAW
 from .frames import ROUGH, course_turns, explain_course
 from .hypotheses import DEGREE, UNKNOWN_STEERING
-from .record import ASKED, COMPARED, DELAY, DELAYS, MISTAKES, SUBJECTS, TICKS, T, named, say
+from .record import COMPARED, DELAY, DELAYS, INTEGRAL, MISTAKES, SUBJECTS, TICKS, T, named, say
 from .regression import AGAIN, BANKS, EVIDENCE, add_delayed, begin_delayed, compare, compare_delayed
-from .requests import asked, back_to, left_of_beginning
+from .requests import back_to, left_of_beginning, requested
 
 SOON, THROWN = 18.0, 18.0
 """Evidence of mistakes that nothing honest looks like, and of wheels that are thrown about."""
@@ -76,8 +76,10 @@ def _take(compared, place, y, noise, span, own):
         end, start = back_to(last[T.t] - delay, end, own), back_to(before[T.t] - delay, start, own)
         mean = begun = 0.0
         for k in range(BANKS - 1, -1, -1):
-            which = (ASKED.angle if place == WHEEL else ASKED.turning) + k
-            mean = (asked(last[T.t] - delay, end, which, own) - asked(before[T.t] - delay, start, which, own)) / span
+            which = (INTEGRAL.angle if place == WHEEL else INTEGRAL.turning) + k
+            mean = (
+                requested(last[T.t] - delay, end, which, own) - requested(before[T.t] - delay, start, which, own)
+            ) / span
             held = share if k == 0 else clip((own.begun_at + delay - before[T.t]) / span, 0.0, 1.0)
             begun = held * own.begun_with[1 if place == WHEEL else 0]
             add_delayed(sums, k * DELAYS + i, left, mean, begun, share, y, weight)
