@@ -7,6 +7,7 @@ import os
 import shutil
 import struct
 import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -631,15 +632,44 @@ def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
 
 # -- other processors -------------------------------------------------------------------------------------------------
 EMULATED = {
-    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
-    "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64"),
+    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
+    "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64", "-L", "/usr/riscv64-linux-gnu"),
+    "windows-x86-64-v3": ("x86_64-w64-mingw32-gcc", "wine64"),
+    "wasm32": ("zig", "node", "--no-warnings", str(HERE / "processors" / "wasi.mjs")),
 }
+"""The compiler for a processor or system, and the command that runs there a program with two files of a folder."""
+
+
+def _compile(compiler, sources, place):
+    """The program of C sources for another processor."""
+    zig = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-msimd128"]
+    called = zig if compiler == "zig" else [compiler]
+    subprocess.run(
+        [*called, "-O1", f"-I{place}/include", f"-I{place}/src", *map(str, sources), "-o", str(place / "replay")],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    written = place / "replay.exe"
+    return written.name if written.exists() else "replay"
+
+
+def _emulator(target):
+    """The compiler and the command of a target; a test without them is skipped."""
+    compiler, runner, *options = EMULATED[target]
+    path = f"{os.environ['PATH']}:/usr/lib/wine"  # where Debian has it
+    if compiler == "zig":
+        pytest.importorskip("ziglang", reason="needs ziglang: pip install 'adaptrack[link]'")
+    elif shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    found = shutil.which(runner, path=path)
+    if found is None:
+        pytest.skip(f"{runner} is not installed")
+    return compiler, [found, *options]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", EMULATED)
 def test_another_processor_answers_the_same_bits(target, way, folder):
-    compiler, emulator = map(exported.compiler, EMULATED[target])
+    compiler, emulator = _emulator(target)
     try:
         library.export_of(target)
     except library.UNUSABLE:
@@ -657,10 +687,8 @@ def _differing_on(target, name, way, place, compiler, emulator):
     head = [len(POINTS), way[1].s.size], POINTS, way[1].s, way[1].speed, samples
     np.concatenate([np.ravel(each) for each in head]).astype(float).tofile(place / "samples")
     sources = [HERE / "processors" / "replay.c", *(place / "src").glob("*.c"), *(place / "lib").rglob("*.o")]
-    subprocess.run([compiler, "-O1", f"-I{place}/include", f"-I{place}/src", *map(str, sources), "-o",
-                    str(place / "replay")], check=True)  # fmt: skip
-    home = ["-L", f"/usr/{compiler.removesuffix('-gcc')}"]
-    subprocess.run([emulator, *home, str(place / "replay"), str(place / "samples"), str(place / "answers")], check=True)
+    program = _compile(compiler, sources, place)
+    subprocess.run([*emulator, program, "samples", "answers"], check=True, cwd=place)
     twin = Twin(controller, *way)
     expected = np.array([twin.call(sample)[:5] for sample in samples])
     found = np.fromfile(place / "answers").reshape(-1, 5)
