@@ -139,9 +139,10 @@ def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
     (a, b), q = _models(A, B), np.ascontiguousarray(Q, dtype=float)
     n = b.shape[-1]
     found, work = np.empty(a.shape), np.empty(7 * n * n)
-    for i in np.ndindex(b.shape[:-1]):
-        if laws.riccati(a[i], b[i], q[i], found[i], work) == 0:
-            raise InvalidInput(_FAR_APART)
+    with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
+        for i in np.ndindex(b.shape[:-1]):
+            if laws.riccati(a[i], b[i], q[i], found[i], work) == 0:
+                raise InvalidInput(_FAR_APART)
     return found
 
 
