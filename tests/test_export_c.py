@@ -630,6 +630,15 @@ def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
     assert shutil.which("gcc") is not None
 
 
+def test_a_car_of_which_nobody_says_the_steering_leaves_learning(tmp_path):
+    at.vehicle_from_data_sheet("mine", 1450.0, 2.65).to_toml(tmp_path / "car.toml")
+    for more, learns in (([], True), (["--controller", "stanley"], False)):
+        words = ["export", "c", "--vehicle", str(tmp_path / "car.toml"), "--out", str(tmp_path / "out"), *more]
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, done.output
+        assert ("It believes of the steering" in done.output and "learns" in done.output) == learns
+
+
 # -- other processors -------------------------------------------------------------------------------------------------
 EMULATED = {
     "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),

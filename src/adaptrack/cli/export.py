@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from adaptrack.control.controllers import Controller
     from adaptrack.scenario.profile import Profile
 
-app = typer.Typer(help="Controllers for other programs: a C library.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Controllers for other programs: a C library, an FMU.", no_args_is_help=True, rich_markup_mode=None
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +39,13 @@ class ExportedController:
     ] = None
     car: options.CarAndPlant
     profile: options.Profile = "road"
-    learn: Annotated[bool, Option("--learn", help="Let the informed controller learn while it drives.")] = False
+    learn: Annotated[
+        bool,
+        Option(
+            "--learn",
+            help="Let the informed controller learn; it does where the car's file tells no lag and dead time.",
+        ),
+    ] = False
     learned: Annotated[
         Path | None, Option("--learned", metavar="FILE", help="Learn, starting from this TOML file.")
     ] = None
@@ -60,13 +68,24 @@ class ExportedController:
             raise InvalidInput(f"--learned {self.learned}: there is no such file; drive --learned writes one.")
         settings = ControllerSettings(
             car, world, world.period, preview=True,
-            learning=learning_of(options.DriveSettings(learn=self.learn, learned=self.learned)),
+            learning=learning_of(options.DriveSettings(learn=self.learn or self._unsaid(car), learned=self.learned)),
             schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
             label=self.scheduler or "",
         )  # fmt: skip
         if self.tuning is not None:
             return tuned(self.tuning, settings)[1]
         return make_controller(self.controller or settings.usual, settings)[1]
+
+    def _unsaid(self, car: Vehicle) -> bool:
+        """Whether nobody says how the steering of the car follows: the profile says it of the simulated world alone."""
+        if (
+            self.tuning is not None
+            or self.learned is not None
+            or self.scheduler
+            or self.controller not in (None, "informed")
+        ):
+            return False
+        return car.steering is None or car.steering.lag is None or car.steering.dead_time is None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +150,8 @@ def export_c(given: ExportOptions) -> None:
     show.say(
         f"Constants {made.constants_size:,} bytes, a tracker {made.memory_size:,}, a saved state {made.state_size:,}."
     )
+    if controller.belief_at_first:
+        show.say(f"It believes of the steering: {controller.belief_at_first}.")
     if made.failed:
         show.say(f"Warning: on the recorded drive, {made.failed}. --speed drives it more slowly, --road another road.")
     show.say(next_line("to see that it drives as it does here", f"make -C {made.folder} check"))
