@@ -150,7 +150,7 @@ def test_who_only_drives_installs_no_compiler(project):
 @pytest.mark.slow  # the kernels for every processor of this kind
 def test_wheel_holds_every_module_and_data_file_and_the_libraries_of_these_sources(project, run_python, tmp_path):
     # Hatchling obeys .gitignore: a careless pattern would drop data files without a word.
-    run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=project)
+    run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=project, timeout=900.0)  # compiles
     (wheel,) = tmp_path.glob("adaptrack-*-py3-none-*.whl")
     assert platform.system() != "Linux" or "manylinux" in wheel.name
     with zipfile.ZipFile(wheel) as archive:
