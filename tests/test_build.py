@@ -193,3 +193,8 @@ def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
         emit_export(CALLS.replace("NAME", "cbrt"), name)
     if name == "cortex-m7":
         assert undefined(emit_export(CALLS.replace("NAME", "__aeabi_l2d"), name)) == ["__aeabi_l2d"]
+
+
+def test_every_kernel_that_a_program_may_call_is_there():
+    there = builder.kernels_of(builder.ROOMS)
+    assert not [(name, each) for name, made in EXPORTS.items() for each in made.kernels if each not in there]

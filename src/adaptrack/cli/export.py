@@ -26,7 +26,7 @@ app = typer.Typer(
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedController:
-    """Which controller is exported."""
+    """Which controller is exported, and on which road it is driven."""
 
     controller: Annotated[
         str | None,
@@ -38,6 +38,9 @@ class ExportedController:
         Option("--scheduler", metavar="NAME", help="Name or .json file: retunes the MPC at every step."),
     ] = None
     car: options.CarAndPlant
+    road: Annotated[str, Option("--road", metavar="ROAD", help=f"That is driven: {roads.ROADS}")] = "country"
+    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
+    speed: Annotated[float | None, Option("--speed", metavar="V", help="Along it (m/s); by default planned.")] = None
     profile: options.Profile = "road"
     learn: Annotated[
         bool,
@@ -49,6 +52,11 @@ class ExportedController:
     learned: Annotated[
         Path | None, Option("--learned", metavar="FILE", help="Learn, starting from this TOML file.")
     ] = None
+
+    def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
+        """The road, with its speed."""
+        seeds = None if self.road_seed is None else [self.road_seed]
+        return roads.RoadOptions(speed=self.speed, road_seed=seeds).look(self.road, car, world)
 
     def make(self, car: Vehicle, world: Profile) -> Controller:
         """The controller.
@@ -94,11 +102,6 @@ class ExportOptions:
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where the library goes.")]
     which: ExportedController
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Of the recorded minute: {roads.ROADS}")] = "country"
-    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
-    speed: Annotated[
-        float | None, Option("--speed", metavar="V", help="Of the recorded minute (m/s); by default planned.")
-    ] = None
     target: Annotated[
         list[str] | None,
         Option("--target", metavar="NAME", help="Processor; by default this one; may be repeated."),
@@ -136,8 +139,7 @@ def export_c(given: ExportOptions) -> None:
     refuse(controller)
     kernel_files(given.target or (), given.objects)
     options.make_folder(given.out)
-    seeds = None if given.road_seed is None else [given.road_seed]
-    checked = roads.RoadOptions(speed=given.speed, road_seed=seeds).look(given.road, car, world)
+    checked = given.which.checked_road(car, world)
     with show.progress("recorded minute"):
         made = export(
             controller, given.out, targets=given.target or (), road=checked.road, plan=checked.plan, plant=plant,

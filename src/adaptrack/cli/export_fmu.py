@@ -10,7 +10,6 @@ from typing import Annotated
 from typer import Option
 
 from adaptrack.cli import options, show
-from adaptrack.cli import road as roads
 from adaptrack.cli.export import ExportedController
 
 
@@ -27,9 +26,6 @@ class FMUOptions:
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where car.fmu and controller.fmu go.")]
     which: ExportedController
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"That is followed: {roads.ROADS}")] = "country"
-    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
-    speed: Annotated[float | None, Option("--speed", metavar="V", help="Along it (m/s); by default planned.")] = None
     fmi: Annotated[Interface, Option("--fmi", help="Version of the interface.")] = Interface.third
     driver: Annotated[
         bool, Option("--driver/--perfect-speed", hidden=True, help="Of the car: powertrain and driver, or exact speed.")
@@ -52,8 +48,7 @@ def export_fmu(given: FMUOptions) -> None:
     car, plant = given.which.car.load()
     world = load_profile(given.which.profile)
     controller = given.which.make(car, world)
-    seeds = None if given.road_seed is None else [given.road_seed]
-    checked = roads.RoadOptions(speed=given.speed, road_seed=seeds).look(given.road, car, world)
+    checked = given.which.checked_road(car, world)
     route = RoadDrive(checked.road, checked.plan)
     driver = Driver() if given.driver else None
     units = (

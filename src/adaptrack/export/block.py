@@ -36,6 +36,8 @@ PRELUDE = struct.Struct("<8sII")
 HEADER = struct.Struct("<Q12I")
 ROOM = 8
 """Words: an array of so many or more begins at a multiple of it, a cache line, in a memory that begins at one."""
+BEFORE_MEMORY, BEFORE_STATE = 64, 48
+"""Bytes that the C sources keep before a memory (`adaptrack_head`) and before the words of a saved state."""
 LARGEST_NUMBER = 2**31
 """An int64 of a record beyond it is no count, no flag: it is an address."""
 
@@ -111,9 +113,19 @@ class Block:
         return 8 * self.header.words
 
     @property
+    def laid_size(self) -> int:
+        """Bytes that a C program reserves for it."""
+        return BEFORE_MEMORY + self.memory_size
+
+    @property
     def state_size(self) -> int:
         """Bytes of it that a saved state holds."""
         return 8 * (self.header.words - self.header.renewed)
+
+    @property
+    def saved_size(self) -> int:
+        """Bytes of a saved state."""
+        return BEFORE_STATE + self.state_size
 
 
 class _Part(NamedTuple):

@@ -118,7 +118,7 @@ def export_c(
     for each, file in files.items():
         _write(target / "lib" / each / KERNELS_FILE, file.read_bytes())
     return Exported(
-        target, tuple(files), len(block.content), 64 + block.memory_size, 48 + block.state_size, len(driven.samples),
+        target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(driven.samples),
         driven.failed,
     )  # fmt: skip
 
@@ -173,8 +173,8 @@ def _texts(
     """The files that are text, by their places in the folder."""
     words = {
         "TARGET": target, "TARGETS": ", ".join(targets), "VERSION": __version__, "CONTROLLER": repr(controller),
-        "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{64 + block.memory_size:,}",
-        "STATE_SIZE": f"{48 + block.state_size:,}", "PERIOD": f"{controller.period:g}",
+        "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{block.laid_size:,}",
+        "STATE_SIZE": f"{block.saved_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(driven.samples):,}", "KERNELS": library.kernels_hash(),
     }  # fmt: skip
     found = {}
@@ -207,8 +207,8 @@ def _config(controller: Controller, block: Block) -> str:
 #define ADAPTRACK_VERSION "{__version__} kernels {library.kernels_hash()}"
 #define ADAPTRACK_PERIOD {controller.period!r} /* s, from one control instant to the next */
 #define ADAPTRACK_REAR_AXLE {controller.vehicle.lr!r} /* m, from the centre of mass back to the rear axle */
-#define ADAPTRACK_SIZE {64 + block.memory_size} /* bytes of a tracker with these constants */
-#define ADAPTRACK_STATE_SIZE {48 + block.state_size} /* bytes of its saved state */
+#define ADAPTRACK_SIZE {block.laid_size} /* bytes of a tracker with these constants */
+#define ADAPTRACK_STATE_SIZE {block.saved_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */

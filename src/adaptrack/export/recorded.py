@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
-from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.tracker.records import SAMPLE as CALL
 from adaptrack.core.tracker.records import TRACKED
+from adaptrack.drive.failure import find_failure
+from adaptrack.drive.simulate import simulate
 from adaptrack.export.tracking import Twin
 from adaptrack.road import Road, SpeedPlan, plan_speed, road_through
 from adaptrack.road.ahead import RoadAhead
@@ -69,14 +70,13 @@ def record_drive(
     InvalidInput
         When the controller cannot be tracked, or the drive ends before its first instant.
     """
-    from adaptrack.drive.failure import find_failure
-    from adaptrack.drive.simulate import simulate
-
     points, closed = _points(road, seconds, float(plan.speed.max()))
     path = road_through(points, closed=closed, name=road.name)
     steady = float(np.ptp(plan.speed)) == 0.0
     car = getattr(controller, "vehicle", None)
-    planned = constant_speed(path, float(plan.speed[0])) if steady or car is None else _planned(path, car, plan)
+    planned = (
+        constant_speed(path, float(plan.speed[0])) if steady or car is None else plan_speed(path, car, plan.comfort)
+    )
     driver = _Driver(controller, path, _thinned(planned), seconds)
     run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
     found = find_failure(run)
@@ -84,10 +84,6 @@ def record_drive(
     if not driver.samples:
         raise InvalidInput(f"export: the road {road.name!r} is too short to be driven.")
     return Recorded(points, closed, driver.plan, np.array(driver.samples), np.array(driver.answers), failed)
-
-
-def _planned(path: Road, car: Vehicle, plan: SpeedPlan) -> SpeedPlan:
-    return plan_speed(path, car, plan.comfort)
 
 
 def _thinned(plan: SpeedPlan) -> SpeedPlan:

@@ -77,7 +77,7 @@ class Unit:
     @property
     def period(self) -> float:
         """s, of a step."""
-        return float(self.record.values[1])
+        return next(each.start for each in self.values if each.name == "period")
 
 
 def described(module: str, groups: Mapping[int, tuple[str, ...]], given: Mapping[str, tuple[float, ...]]) -> Any:
