@@ -151,14 +151,19 @@ class World:
         whole, share = dead_periods(self.profile.delay, self.steering.dead_time, self.period)
         return whole, share
 
+    @property
+    def remembered(self) -> int:
+        """Instants whose samples are kept because they come late; 0 where all sensors are prompt."""
+        oldest = self.profile.oldest
+        return math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
+
     def loop(self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None) -> Any:
         """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
 
         given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
         `core.period.traces`, None for none.
         """
-        slots, oldest = len(vehicles.start), self.profile.oldest
-        past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
+        slots, past = len(vehicles.start), self.remembered
         known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
         return period_kernel.Loop(
             settings=settings,
