@@ -18,7 +18,6 @@ from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
 from adaptrack.core.path import line_numbers
 from adaptrack.core.road import X, Y
-from adaptrack.core.shown_road import edges_along
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
 from adaptrack.road.table import Pieces, sequence, tabulate
@@ -236,11 +235,11 @@ class Road:
 
     def edges(self, s: ArrayLike) -> tuple[Array, Array]:
         """The left and the right edge at the arc lengths `s`: two arrays (..., 2) of x, y (m)."""
-        s = reals("Road.edges: s", s)
-        left, right = (np.broadcast_to(self.along(name, s), s.shape).ravel() for name in ("width_left", "width_right"))
-        points = np.empty((s.size, 6))
-        edges_along(self.packed(), s.flatten(), left.copy(), right.copy(), points)
-        return points[:, 2:4].reshape(*s.shape, 2).copy(), points[:, 4:].reshape(*s.shape, 2).copy()
+        points = self.at(s)
+        normal = np.stack([-np.sin(points.heading), np.cos(points.heading)], axis=-1)
+        centre = np.stack([points.x, points.y], axis=-1)
+        left, right = (self.along(name, s)[..., np.newaxis] for name in ("width_left", "width_right"))
+        return centre + left * normal, centre - right * normal
 
     def curvature_jumps(self, least: float = JUMP) -> list[Jump]:
         """The places at which the curvature changes at once, by more than `least` (1/m)."""
