@@ -46,7 +46,8 @@ function start({ id, setup }) {
 
 /** The first drive, until all is made here. */
 function madeByPython() {
-  const run = memory.make("rollout.Run", written.first.run);
+  const first = written.first.run, measured = share(memory.array("F", first.measured.shape));
+  const run = memory.make("rollout.Run", { ...first, measured, mpc: { ...first.mpc, measured } });
   return ready(run, written.first.periods);
 }
 
