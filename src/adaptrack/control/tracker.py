@@ -341,12 +341,7 @@ class Tracker:
         delay = time[0] / self.period - 1.0
         forward = max(float(memory.speed), self.controller.speed_floor)
         offset = lateral - self._ahead.bend(time.size + 1, forward, delay, self.period)[1:]
-        speeds = self._ahead.speeds
-        way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
-        last = self.period * speeds.size
-        gone = np.interp(time, self.period * np.arange(way.size), way) + speeds[-1] * np.maximum(time - last, 0.0)
-        foot = self._ahead.road.at(self._ahead.station + gone)
-        return np.stack([foot.x - offset * np.sin(foot.heading), foot.y + offset * np.cos(foot.heading)], axis=-1)
+        return self._ahead.points(offset, forward, delay, self.period)
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:

@@ -39,7 +39,7 @@ from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import Step, form_qp, step
-from adaptrack.core.controllers.receding import apply_move
+from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF, BELIEFS, memory_of
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
@@ -522,17 +522,9 @@ class MPC(Controller):
 
         On a curved road y counts from the tangent at the car's foot.
         """
-        mpc, own = self._mpc, self._mpc.memory[0]
-        count = int(own.Np)
-        free = mpc.ws.reference[:count] - mpc.ws.error[:count]
-        steps = np.arange(count)
-        moves = np.zeros(count)
-        if self.moves.kind == "laguerre":
-            moves = mpc.plan[0, : self.moves.terms] @ mpc.ws.moves[: self.moves.terms, :count]
-        else:
-            moves[: own.planned] = mpc.plan[0, : own.planned]
-        response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        return np.asarray((steps + 1.0) * self.period + self._delay * self.period), np.asarray(free + response)
+        y = np.zeros(int(self._mpc.memory[0].Np))
+        predict_outputs(0, self._resident, y)
+        return (np.arange(y.size) + 1.0) * self.period + self._delay * self.period, y
 
     def step(
         self,
