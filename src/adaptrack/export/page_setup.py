@@ -125,10 +125,8 @@ def controller_of(given: Mapping[str, Any], car: Vehicle, profile: Profile) -> C
     options: dict[str, Any] = {"belief": at.Steering(**said)} if said else {}
     if kind == "learning":
         options["learning"] = Learning()
-    elif kind == "informed":
-        options["learning"] = None
-    elif scheduled:
+    elif kind.startswith("informed-"):
         options["scheduler"] = load_scheduler(f"informed-road-{scheduled}")
-    else:
+    elif kind != "informed":
         raise InvalidInput(f"controller {kind!r}: there is none of this kind.")
     return MPC(car, tuning, profile=profile, **options)
