@@ -12,8 +12,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
-from adaptrack.cars.domain import Domain
-from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_tyres, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, road, rollout
@@ -37,7 +36,7 @@ from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
 from adaptrack.core.variables import NAMES
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
-from adaptrack.export.page_inputs import tyre_numbers
+from adaptrack.export.page_inputs import car_fields, tyre_numbers
 from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import ROADS, TESTS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
@@ -52,7 +51,7 @@ RECORDS = (
 )  # fmt: skip
 CALLED = (
     "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
-    "complete_car", "car_flaw", "outline_of", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
+    "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
     "start_pose", "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
     "drive_samples", "drive_start", "complete_samples", "limit_rows", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
@@ -84,8 +83,7 @@ def page_data() -> dict[str, Any]:
     """All of it."""
     return _plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
-        "cars": {name: _car(name) for name in list_vehicles()}, "car_defaults": _car_defaults(),
-        "tyres": {name: tyre_numbers(load_tyre(name)) for name in list_tyres()},
+        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
         "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
         "no_schedule": image(no_schedule()),
@@ -123,14 +121,15 @@ def _sizes() -> dict[str, int]:
 
 
 def _car(name: str) -> dict[str, Any]:
-    return load_vehicle(name).model_dump()
-
-
-def _car_defaults() -> dict[str, Any]:
-    """What a car file may leave out."""
-    fields = Vehicle.model_fields.items()
-    given = {name: each.default for name, each in fields if not each.is_required() and isinstance(each.default, float)}
-    return {**given, "tyre": Vehicle.model_fields["tyre"].default, "domain": Domain().model_dump()}
+    """A car as the page reads it from a file."""
+    made = load_vehicle(name)
+    sections = ("steering", "body", "known_within", "domain")
+    return {
+        "name": made.name, "description": made.description,
+        "numbers": {key: value for key, value in made.model_dump().items() if isinstance(value, float)},
+        **{key: None if getattr(made, key) is None else getattr(made, key).model_dump() for key in sections},
+        "tyre": {"name": made.tyre, "numbers": tyre_numbers(load_tyre(made.tyre))},
+    }  # fmt: skip
 
 
 def _comfort() -> dict[str, float]:
@@ -198,23 +197,7 @@ def _test(name: str) -> dict[str, Any]:
 
 def _words() -> dict[str, Any]:
     """What kernels answer, in words; by number."""
-    (light, heavy), (short, long) = car.MASSES, car.WHEELBASES
-    units = "Give the mass in kg, lengths in m, the inertia in kg m², stiffness in N/rad of one tyre."
     return {
-        "sheet": ["", f"The mass is {{mass}} kg: known are cars of {light:g} to {heavy:g} kg.",
-                  f"The wheelbase is {{wheelbase}} m: known are cars of {short:g} to {long:g} m.",
-                  "The load is {load} kg: it must be neither below 0 nor above the mass of the car itself.",
-                  "lf and lr do not make the wheelbase: give one of them, or neither."],
-        "car": ["", f"Yaw inertia and mass do not belong together: I/(m lf lr) is {{ratio}}, and cars have about 1. {units}",
-                f"A front tyre's stiffness is {{ratio}} times its load, and tyres have 5 to 30. {units}",
-                f"A rear tyre's stiffness is {{ratio}} times its load, and tyres have 5 to 30. {units}"],
-        "outline": ["", "The length leaves no room for an axle between the overhangs: correct the section “body”.",
-                    "The length is not wheelbase and overhangs: leave one of them out."],
-        "path": ["", f"A road needs at least {path.FEWEST} points.", "Point {} is no number.",
-                 f"Point {{}} is more than {path.WIDEST:g} m from the next one, or too far away: correct it.",
-                 "Point {} comes twice in a row: leave one out.",
-                 "The points are too near to one another: are x and y in metres?",
-                 "The points fold back on themselves behind point {}: no smooth road goes through them.", "again"],
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
                  "The speed at the end is too high.", "No car can brake in time from the start: start slower.",

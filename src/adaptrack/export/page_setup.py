@@ -73,7 +73,9 @@ def car_of(given: Mapping[str, Any]) -> Vehicle:
         return at.load_vehicle(given["name"])
     if "sheet" in given:
         return at.vehicle_from_data_sheet("sheet", **given["sheet"])
-    return Vehicle(**{"name": "file", **given["file"]})
+    file = given["file"]
+    sections = {key: file.get(key) for key in ("steering", "body", "known_within", "domain") if file.get(key)}
+    return Vehicle(name=file.get("name", "file"), tyre=file["tyre"]["name"], **file["numbers"], **sections)
 
 
 def road_of(given: Mapping[str, Any]) -> Road:

@@ -5,6 +5,8 @@
 //   -> {type: "start", id, setup}                <- {type: "started", id, period, duration, laps, road, cars, plan}
 //   -> {type: "advance", id, periods}            <- {type: "frames", id, first, count, cars}
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
+//   -> {type: "read", id, what, text, name}      <- {type: "read", id, what, ...}      what: "car file" or "csv", see inputs.js
+//   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
 // A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
@@ -353,8 +355,27 @@ function sensors(cars, given) {
   }
 }
 
+// -- reading and writing ----------------------------------------------------------------------------------------------
+const READERS = {
+  "car file": ({ text, name }) => ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name })) }),
+  csv: ({ text, name, closed }) => {
+    const { points, ...road } = readBy("road", () => inputs.readPoints(text, written.inputs, { name, closed }));
+    return { ...road, points: Array.from({ length: points.length / 2 }, (_, k) => [points[2 * k], points[2 * k + 1]]) };
+  },
+};
+function read(message) {
+  const reader = READERS[message.what];
+  if (!reader) throw new Refusal("read", `Nothing is known of reading “${message.what}”.`);
+  return [{ type: "read", id: message.id, what: message.what, ...reader(message) }];
+}
+/** A drive as text: columns are those of its frames, one behind the other. */
+function write({ id, what, columns }) {
+  const count = Math.max(0, ...Object.values(columns).map((each) => each.length));
+  return [{ type: "written", id, what, text: inputs.writeDrive({ cars: [{ columns, count }] }, 0, written.inputs) }];
+}
+
 // -- messages ---------------------------------------------------------------------------------------------------------
-const ANSWERS = { load, start, advance, change };
+const ANSWERS = { load, start, advance, change, read, write };
 
 function answers(message) {
   const answer = ANSWERS[message?.type];

@@ -49,48 +49,56 @@ function filled(row, table) {
 const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Array.from(values, real)));
 
 // -- car --------------------------------------------------------------------------------------------------------------
+/** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
 function carOf(given) {
-  const refuse = (text) => { throw new Refusal("car", text); };
-  if (given?.sheet) return carOfSheet(given.sheet, refuse);
-  if (given?.file) return carOfNumbers({ ...written.car_defaults, name: "car", ...given.file }, refuse);
+  if (given?.sheet) return carOfSheet(given.sheet);
+  if (given?.file) return carOfFile(given.file);
   const known = written.cars[given?.name];
-  return known ? carOfNumbers(known, refuse) : refuse(`There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
+  if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
+  return carOfFile(known);
 }
 
-function carOfSheet(sheet, refuse) {
-  const { mass, wheelbase, load = 0, body_style = "car" } = sheet;
-  const row = copied("synthesis.car.Car", sheet), within = copied("synthesis.car.KnownWithin");
-  const status = memory.call("complete_car", real(wheelbase), real(load), body_style === "truck" ? 1 : 0, row, within);
-  if (status) refuse(written.words.sheet[status].replace("{mass}", mass).replace("{wheelbase}", wheelbase).replace("{load}", load));
-  const numbers = { ...written.car_defaults, name: "sheet", ...sheet, ...row.$numbers };
-  return carOfRows(numbers, row, within, refuse);
+/** What throws InputErrors, as a refusal. */
+function readBy(where, read) {
+  try {
+    return read();
+  } catch (error) {
+    if (error instanceof inputs.InputError) throw new Refusal(where, error.message);
+    throw error;
+  }
+}
+const refuseFlaw = (where, flaw) => {
+  if (flaw) throw new Refusal(where, flaw);
+};
+
+function carOfSheet(typed) {
+  const sheet = readBy("car", () => inputs.readSheet(typed, written.inputs));
+  const row = copied("synthesis.car.Car", { ...sheet.known, mass: sheet.mass }), within = copied("synthesis.car.KnownWithin");
+  const status = memory.call("complete_car", sheet.wheelbase, sheet.load, sheet.truck, row, within);
+  refuseFlaw("car", inputs.sheetFlaw(status, sheet, written.inputs));
+  return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
-function carOfNumbers(numbers, refuse) {
-  const row = copied("synthesis.car.Car", numbers), said = numbers.known_within;
+function carOfFile(car) {
+  const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
   const [flaw, ratio] = memory.call("car_flaw", row);
-  if (flaw) refuse(written.words.car[flaw].replace("{ratio}", ratio.toPrecision(3)));
-  return carOfRows(numbers, row, within, refuse);
+  refuseFlaw("car", inputs.carFlaw(flaw, ratio, car, memory.call("static_loads", row.mass, row.lf, row.lr), written.inputs));
+  return carOfRows(car, row, within);
 }
 
-function carOfRows(numbers, row, within, refuse) {
-  const tyre = typeof numbers.tyre === "string" ? written.tyres[numbers.tyre] : numbers.tyre;
-  if (!tyre) refuse(`There is no tyre named “${numbers.tyre}”: choose one of ${Object.keys(written.tyres).join(", ")}.`);
+function carOfRows(car, row, within) {
   const rows = {
-    car: row, within, file: copied("synthesis.car.Steering", numbers.steering), chassis: copied("synthesis.plant.Chassis", numbers),
-    tyre: copied("synthesis.plant.Tyre", tyre), body: copied("synthesis.plant.Body", numbers.body),
+    car: row, within, file: copied("synthesis.car.Steering", car.steering), chassis: copied("synthesis.plant.Chassis", car.numbers),
+    tyre: copied("synthesis.plant.Tyre", car.tyre.numbers), body: copied("synthesis.plant.Body", car.body),
   };
-  const outline = copied("synthesis.plant.Outline");
-  const status = memory.call("outline_of", rows.body, rows.chassis, outline);
-  if (status) refuse(written.words.outline[status]);
+  const outline = copied("synthesis.plant.Outline"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
+  const [status, front, rear] = memory.call("overhangs", rows.body, lf + lr);
+  refuseFlaw("car", inputs.outlineFlaw(status, front, rear, car, written.inputs));
+  memory.call("outline_of", rows.body, rows.chassis, outline);
   const plain = mine(memory.array("F", [written.sizes.parameters]));
   memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", written.ideal), plain);
-  const { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
-  return {
-    name: numbers.name, numbers, rows, plain, domain: { ...written.car_defaults.domain, ...numbers.domain },
-    outline: { ...outline.$numbers, lf, lr, track_front, track_rear },
-  };
+  return { name: car.name, rows, plain, domain: car.domain, outline: { ...outline.$numbers, lf, lr, track_front, track_rear } };
 }
 
 // -- world ------------------------------------------------------------------------------------------------------------
@@ -182,11 +190,11 @@ function roadThrough({ points, closed = false, name = "points" }) {
     if (size > MOST_WORDS) refuse("The road is too long: its points may be in millimetres. Give x and y in metres.");
     const path = mine(memory.array("F", [Math.max(size, 1)]));
     const [status, found] = memory.call("path_through", given, closed ? 1 : 0, path);
-    if (written.words.path[status] === "again") {
+    if (status === written.inputs.answers.path_through.TOO_SMALL) {
       size *= 2;
       continue;
     }
-    if (status) refuse(written.words.path[status].replaceAll("{}", found));
+    refuseFlaw("road", inputs.roadFlaw(status, found, { count: points.length }, written.inputs));
     const [count, piece, start, heading] = memory.call("path_parts", path), numbers = view(path, 0, [written.sizes.road_numbers]);
     if (numbers.values[0] > written.bounds.road_length[1]) refuse(`The road is ${Math.round(numbers.values[0])} m long: at most ${written.bounds.road_length[1]} m are driven.`);
     return road({ ...written.road_defaults, name }, numbers, view(path, start, [count + 1]),
