@@ -20,10 +20,11 @@ from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
-from adaptrack.control.scheduling.variables import reference_preview
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.layout import room
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import Failure, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
@@ -187,17 +188,21 @@ class World:
 
         number: of the scenario in its batch, from which errors of perception are drawn.
         """
-        known = (signals.friction.mean(axis=1), signals.wind[:, 1])
+        rows = np.empty((len(SIGNAL), signals.n + 1))
+        given = {
+            "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
+            "bank": signals.bank, "acceleration": signals.curvature, "station": signals.station,
+        }  # fmt: skip
+        for name, values in given.items():
+            rows[getattr(SIGNAL, name)] = values
+        rows[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1] = signals.friction.T
+        complete_samples(signals.period, rows)
         if isinstance(self.known_as, Perception):
-            known = self.known_as.known(*known, signals.period, number)
-        ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
-        ahead[1][:] += np.abs(signals.curvature) * signals.speed**2
-        return np.ascontiguousarray(
-            np.vstack([
-                signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead,
-                signals.station,
-            ])
-        )  # fmt: skip
+            friction, wind = rows[SIGNAL.known_friction].copy(), rows[SIGNAL.known_wind].copy()
+            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.known(
+                friction, wind, signals.period, number
+            )
+        return rows
 
     def start(self, scenario: Scenario | RoadDrive, signals: Signals) -> Array:
         """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""

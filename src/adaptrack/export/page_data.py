@@ -52,7 +52,7 @@ RECORDS = (
 CALLED = (
     "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
     "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
-    "start_pose", "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
+    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
     "drive_samples", "drive_start", "complete_samples", "limit_rows", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
 )  # fmt: skip
