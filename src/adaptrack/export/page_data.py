@@ -30,7 +30,6 @@ from adaptrack.core.plants.contract import BLOCK, INPUT, SLOTS, STATE, STATES
 from adaptrack.core.planning import along, drive, speed
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
-from adaptrack.core.qp import problem as qp
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
@@ -46,7 +45,7 @@ from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.Run, Span, road.Centreline, Order, Parts, Constants, car.Car, car.KnownWithin, car.Steering, laws.Common,
+    rollout.Run, rollout.Counts, Span, road.Centreline, Order, Parts, Constants, car.Car, car.KnownWithin, car.Steering, laws.Common,
     plant.Chassis, plant.Tyre, plant.Actuator, plant.Body, plant.Outline, along.Along, speed.Planning, drive.RoadDrive,
 )  # fmt: skip
 CALLED = (
@@ -54,7 +53,7 @@ CALLED = (
     "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
     "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
-    "drive_samples", "drive_start", "complete_samples", "limit_rows", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
+    "drive_samples", "drive_start", "complete_samples", "run_sizes", "mpc_prepare", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
 )  # fmt: skip
 """What the engine calls; what it links besides are members."""
 MEMBERS = (
@@ -115,8 +114,7 @@ def _sizes() -> dict[str, int]:
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
         "published_states": len(single_track.STATE), "turning": size_of(Turning), "estimator": size_of(kalman.Numbers),
         "learner": size_of(learning.Numbers), "answer": len(mpc.ANSWER), "beliefs": len(learning.BELIEFS),
-        "plan": len(PLAN), "qp_planes": len(qp.PLANE), "qp_vectors": len(qp.VECTOR), "qp_rows": qp.ROW_VECTORS,
-        "turning_lag": Turning._fields.index("lag"), "most_Np": min(150, int(PREDICTION_HORIZON.most)), "most_Nc": min(40, int(CONTROL_HORIZON.most)),
+        "plan": len(PLAN), "turning_lag": Turning._fields.index("lag"), "most_Np": min(150, int(PREDICTION_HORIZON.most)), "most_Nc": min(40, int(CONTROL_HORIZON.most)),
     }  # fmt: skip
 
 

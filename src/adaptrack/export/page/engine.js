@@ -72,9 +72,9 @@ function carRun(entry, { world, car, of, samples, seed }, where) {
   own.measured = mine(memory.array("F", [written.sizes.measured]));
   own.run = memory.make("rollout.Run", runOf(own, { car, of, samples, seed }));
   own.span = mine(memory.row("period.Span", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
-  prepareWorkspace(own.run.mpc, own.controller);
+  memory.call("mpc_prepare", own.run.mpc);
   memory.call("begin_runs", 1, own.run);
-  own.columns = [...written.frame, ...own.controller.said];
+  own.columns = [...written.frame, ...own.parts.said];
   own.horizon = own.run.mpc.settings.longest_horizon;
   own.moves = own.run.mpc.settings.most_moves;
   own.shown = null;
@@ -88,33 +88,32 @@ function topSpeedOf({ signals }) {
 
 /** All that a run is made of. */
 function runOf({ controller, parts, plant, measured, world }, { car, of, samples, seed }) {
-  const { sizes } = written, { signals } = samples, law = Boolean(controller.law), scheduled = Boolean(controller.schedule);
-  const dead = memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0];
-  const [, count] = signals.shape, speed = view(signals, written.places.signal.speed * count, [1]).values[0];
+  const { sizes } = written, { signals } = samples, law = Boolean(controller.law), { schedule } = controller;
+  const [rows, count] = signals.shape, speed = view(signals, written.places.signal.speed * count, [1]).values[0];
   const first = new Float64Array(sizes.own_states);
   first.set([...samples.pose, speed]);
-  return {
-    settings: settingsOf(car, world, plant.substeps),
-    features: { late: world.remembered > 0 ? 1 : 0, variables: scheduled ? 1 : 0, estimates: 0, traces: 0, law: law ? 1 : 0 },
-    vehicles: {
-      advance: { function: plant.functions.advance }, observe: { function: plant.functions.observe }, member: 0,
-      parameters: share(plant.parameters), block: { shape: [sizes.block] }, states: { shape: [sizes.slots, sizes.own_states] },
-      work: { shape: [7, Math.max(sizes.own_states, sizes.states)] }, start: { shape: [1, sizes.own_states], values: first },
+  const size = (array) => array?.shape[0] ?? 0, roads = of.test ? NO_ROAD : of.roads;
+  const counts = {
+    ...parts.counts,
+    loop: {
+      slots: 1, parameters: sizes.parameters, states: sizes.own_states, scenarios: 1, samples: count, roads: size(roads.numbers),
+      starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
+      dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1, past: world.remembered,
     },
-    given: {
-      signals: { share: signals, shape: [1, ...signals.shape] }, roads: of.test ? { of: { shape: [1], values: [-1n] }, numbers: { shape: [0, sizes.road_numbers] }, pieces: { shape: [0, sizes.piece] } } : of.roads,
-      scenario: { shape: [1] }, seeds: { shape: [1], values: [BigInt(seed)] },
-    },
-    measured: share(measured), variables: { shape: [sizes.variables] },
-    memory: { own: { shape: [1] }, sent: { shape: [1, dead + 3] }, past: { shape: [1, world.remembered, sizes.sensed] } },
-    result: { shape: [1] }, ceiling: { shape: [1], values: [NaN] }, segments: { shape: [1, 0] },
-    mpc: { ...parts.mpc, measured: share(measured) },
-    functions: controller.known.functions ? { discretise: linked(controller.known.functions.discretise), estimate: linked(controller.known.functions.estimate) } : {},
-    law: parts.law, schedule: scheduled ? controller.schedule : written.no_schedule,
-    tuning: { shape: [1, controller.tuning.length], values: controller.tuning },
+    ...(schedule ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) } : {}),
   };
+  return runOfSizes(parts.settings, counts, {
+    settings: settingsOf(car, world, plant.substeps),
+    features: { late: world.remembered > 0 ? 1 : 0, variables: schedule ? 1 : 0, estimates: 0, traces: 0, law: law ? 1 : 0 },
+    vehicles: { advance: linked(plant.functions.advance), observe: linked(plant.functions.observe), member: 0, parameters: share(plant.parameters), start: first },
+    given: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
+    measured: share(measured), ceiling: [NaN], mpc: { ...parts.values.mpc, measured: share(measured) },
+    functions: controller.known.functions ? { discretise: linked(controller.known.functions.discretise), estimate: linked(controller.known.functions.estimate) } : {},
+    law: parts.values.law, schedule: schedule ?? written.no_schedule, tuning: controller.tuning,
+  });
 }
 const linked = (name) => ({ function: name });
+const NO_ROAD = { of: [-1n] };
 
 function end() {
   for (const own of drive?.cars ?? []) [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
@@ -246,7 +245,7 @@ function exchange(own, controller, parts) {
   const old = own.run, { command } = old.mpc.memory.row(0), kept = old.mpc.memory.row(0).$numbers;
   const given = runOf({ ...own, controller, parts }, drive);
   const run = memory.make("rollout.Run", given);
-  prepareWorkspace(run.mpc, controller);
+  memory.call("mpc_prepare", run.mpc);
   memory.call("begin_runs", 1, run);
   for (const name of ["vehicles", "memory", "given"]) keepArrays(run[name], old[name]);
   run.settings.$copy(old.settings);

@@ -173,7 +173,7 @@ function road(said, numbers, start, pieces, headings, fresh) {
   return {
     name, line, width_left, width_right, speed_limit, friction, closed: numbers.values[1] > 0.5, length: numbers.values[0],
     roads: {
-      of: { shape: [1] }, numbers: share(view(numbers, 0, [1, written.sizes.road_numbers])), start: share(start),
+      numbers: share(view(numbers, 0, [1, written.sizes.road_numbers])), start: share(start),
       pieces: share(pieces), headings: share(headings),
     },
   };
@@ -396,84 +396,82 @@ function lawOf(entry, known, car, where) {
 }
 
 // -- into a run -------------------------------------------------------------------------------------------------------
-/** The parts of a run that are the controller's: { mpc, law }, as `Memory.make` takes them. */
+/** The controller's part of a run: { settings, counts, values: { mpc, law } }; of counts what `run_sizes` asks. */
 function laid(controller, of) {
-  const { sizes } = written;
-  if (controller.law) {
-    const { known, parameters } = controller, said = known.diagnostics.length;
-    const held = known.diagnostics.indexOf("held");
-    controller.said = ["command_change", "held", ...known.diagnostics, ...known.tuning_names];
-    return {
-      mpc: smallestMpc(known),
-      law: {
-        function: { function: known.function }, parameters: share(parameters), memory: { shape: [1, known.memory] },
-        situation: { shape: [sizes.situation] }, own_answer: { shape: [1 + said] }, answer: { shape: [1, 3 + said] },
-        held: held < 0 ? 0 : 1 + held, preview: known.preview ? 1 : 0,
-      },
-    };
-  }
-  const { constants, states, remembers, learned, settings, learns } = controller, curved = !of.test;
-  const turning = settings.informed ? constants.turning : none();
-  controller.said = [...written.answer.slice(1), ...(learns ? written.beliefs : [])];
-  const mpc = mpcShapes({
-    settings: { ...settings.$numbers, curved: curved ? 1 : 0, feeds_forward: curved && countOf(turning.shape) ? 1 : 0 },
-    states, remembers, learned, turning: curved || countOf(turning.shape) ? turning : none(),
-  });
-  mpc.parameters = share(constants.model);
-  mpc.states = { shape: constants.states.shape, values: constants.states.values.slice() };
-  mpc.model.c.values = outputOf(states);
-  if (settings.informed) {
-    mpc.informed.estimator = share(constants.estimator);
-    mpc.informed.learner = share(constants.learner);
-    mpc.informed.fresh = share(constants.fresh);
-    if (learns) mpc.informed.learned.values = constants.fresh.values.slice();
-  }
-  return { mpc, law: {} };
+  return controller.law ? laidLaw(controller) : laidMpc(controller, of);
 }
-const none = () => vectorOf([]);
-/** The output is the last state. */
-const outputOf = (states) => Float64Array.from({ length: states }, (_, k) => (k === states - 1 ? 1 : 0));
 
-const padded = (count) => Math.ceil(count / 8) * 8;
-/** Shapes of an MPC of one slot (stand-in until a kernel gives them). */
-function mpcShapes({ settings, states, remembers, learned, turning }) {
-  const n = states, horizon = settings.longest_horizon, moves = Math.min(settings.most_moves, horizon), { informed, curved } = settings;
-  const columns = moves, count = 4 * moves, wide = padded(horizon), width = padded(columns), m = padded(count), has = countOf(turning.shape) > 0;
-  const shape = (...sizes) => ({ shape: sizes });
-  const ahead = curved && has ? horizon + 1 : 0;
+function laidLaw({ known, parameters, tuning }) {
+  const held = known.diagnostics.indexOf("held"), count = known.diagnostics.length;
+  const settings = copied("controllers.mpc.Settings", {
+    ...ZEROS("controllers.mpc.Settings"), period: known.common.period, longest_horizon: 1, most_moves: 1,
+    output_min: -Infinity, output_max: Infinity,
+  });
   return {
-    settings, model: { a: shape(n, n), b: shape(n), c: shape(n), e: shape(n), row: shape(n), next_row: shape(n), sum: shape(n) },
-    memory: { shape: [1] }, previous: shape(1, n), plan: shape(1, width),
-    answer: shape(1, written.sizes.answer + (learned ? written.sizes.beliefs : 0)),
-    bend: shape(curved ? bendSize(horizon, settings.period, turning) : 0),
-    feed: { turning: share(turning), expected: shape(ahead), moves: shape(ahead), scratch: shape(ahead) },
-    informed: {
-      x: shape(informed ? n : 0), d: shape(informed ? n : 0), a: shape(informed ? 1 : 0, n, n), b: shape(informed ? 1 : 0, n),
-      estimator: shape(0), estimates: shape(1, remembers), learner: shape(0), fresh: shape(0), learned: shape(1, learned),
+    settings, said: ["command_change", "held", ...known.diagnostics, ...known.tuning_names],
+    counts: {
+      mpc: { slots: 1, states: 4, parameters: 6 }, law: 1, law_parameters: parameters.shape[0], law_memory: known.memory,
+      diagnostics: count, tuning: tuning.length,
     },
-    ws: {
-      free: shape(1, n, wide), step: shape(1, wide), moves: shape(columns, wide), phi: shape(1, columns, wide), hessian: shape(1, columns, width),
-      factor: shape(1, 2, columns, width), rows: shape(1, columns, m), bounds: shape(m), reference: shape(wide), error: shape(wide + width + 8),
-      change: shape(n), gradient: shape(width), solution: shape(width), multipliers: shape(m),
-      qp_work: shape(1, written.sizes.qp_planes, Math.max(width, written.sizes.qp_vectors), width), qp_rows: shape(written.sizes.qp_rows, m),
-      qp_index: shape(1, Math.max(columns, count)),
+    values: {
+      mpc: { states: [0n, 1n, 2n, 3n] },
+      law: { function: { function: known.function }, parameters: share(parameters), held: held < 0 ? 0 : 1 + held, preview: known.preview ? 1 : 0 },
     },
   };
 }
-function bendSize(horizon, period, turning) {
-  if (!countOf(turning.shape)) return horizon + 1;
-  return horizon + 1 + Math.ceil((turning.values[written.sizes.turning_lag] + 0.5) / period) + 2;
-}
-function smallestMpc(known) {
-  const settings = { period: real(known.common.period), longest_horizon: 1, most_moves: 1, output_min: -Infinity, output_max: Infinity };
-  const shapes = mpcShapes({ settings: { ...settings, informed: 0, curved: 0 }, states: 4, remembers: 0, learned: 0, turning: none() });
-  return { ...shapes, settings, parameters: { shape: [6] }, states: { shape: [4], values: [0n, 1n, 2n, 3n] } };
+const ZEROS = (name) => Object.fromEntries(Object.keys(memory.layouts[name].fields).map((field) => [field, 0]));
+
+function laidMpc({ constants, states, remembers, learned, settings, learns }, of) {
+  const { model, turning, estimator, learner, fresh } = constants, size = (block) => block.shape[0];
+  return {
+    settings, said: [...written.answer.slice(1), ...(learns ? written.beliefs : [])],
+    counts: {
+      mpc: {
+        slots: 1, states, parameters: size(model), turning: size(turning), lag: size(turning) ? turning.values[written.sizes.turning_lag] : 0,
+        estimator: size(estimator), estimates: remembers, learner: size(learner), learned, curved: of.test ? 0 : 1,
+      },
+      tuning: 4,
+    },
+    values: {
+      mpc: {
+        parameters: share(model), states: constants.states.values.slice(), feed: { turning: share(turning) },
+        informed: { estimator: share(estimator), learner: share(learner), fresh: share(fresh) },
+      },
+      law: {},
+    },
+  };
 }
 
-/** What of a workspace is written before the first step. */
-function prepareWorkspace(mpc) {
-  const { most_moves, longest_horizon } = mpc.settings, moves = Math.min(most_moves, longest_horizon), rows = mpc.ws.rows;
-  const [, columns, m] = rows.shape;
-  memory.call("limit_rows", moves, columns, 0, mpc.ws.moves, view(rows, 0, [columns, m]));
-  mpc.memory.row(0).speed = NaN;
+/** How many arrays a record has. */
+function arraysOf(name) {
+  return Object.values(memory.layouts[name].fields).reduce((sum, [, kind, more]) =>
+    sum + (kind === "r" ? arraysOf(more) : "FIR".includes(kind) ? 1 : 0), 0);
+}
+
+/** What a record is made of: the sizes of its arrays in turn from rows of sizes, with the values that are given. */
+function shaped(name, rows, values = {}) {
+  const made = {};
+  for (const [field, [, kind, more]] of Object.entries(memory.layouts[name].fields)) {
+    const value = values[field];
+    if (kind === "r") made[field] = shaped(more, rows, value);
+    else if ("FIR".includes(kind)) {
+      const shape = rows.shift().slice(0, kind === "R" ? 1 : more);
+      made[field] = value?.share || value?.words || value?.f8 || value?.i8 ? { ...value, shape } : { shape, values: value };
+    } else if (value !== undefined) made[field] = value;
+  }
+  return made;
+}
+
+/** All that a run is made of; counts: of its loop and its controller; settings: of the MPC, which are completed. */
+function runOfSizes(settings, counts, values) {
+  const count = arraysOf("rollout.Run"), table = mine(memory.array("I", [count, 4]));
+  const asked = mine(memory.row("rollout.Counts"));
+  for (const [field, value] of Object.entries(counts)) {
+    if (typeof value === "object") asked[field].$set(value);
+    else asked[field] = value;
+  }
+  const found = memory.call("run_sizes", settings, asked, table);
+  if (found !== count) throw new Error(`a run has ${count} arrays, and ${found} are known`);
+  const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
+  return shaped("rollout.Run", rows, { ...values, mpc: { ...values.mpc, settings: settings.$numbers } });
 }

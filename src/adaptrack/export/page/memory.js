@@ -175,7 +175,7 @@ class Memory {
   }
   _copy(value, at, words, kind) {
     const target = (kind === "I" ? this.whole : this.real).subarray(at / WORD, at / WORD + words);
-    if (value.words && typeof value.words === "string") this.whole.set(unpackedNumbers(value.words, true), at / WORD);
+    if (value.words !== undefined && typeof value.words === "string") this.whole.set(unpackedNumbers(value.words, true), at / WORD);
     else if (value.f8) target.set(unpackedNumbers(value.f8));
     else if (value.i8) target.set(unpackedNumbers(value.i8, true));
     else if (value instanceof Block) target.set(value.values);
