@@ -250,9 +250,7 @@ class Firefox:
 
     name = "firefox"
 
-    def __init__(
-        self, size: tuple[int, int] = (1400, 900), media: Media = Media(), *, timeout: float = 60.0
-    ) -> None:
+    def __init__(self, size: tuple[int, int] = (1400, 900), media: Media = Media(), *, timeout: float = 60.0) -> None:
         self.timeout, self._number, self._rest = timeout, 0, b""
         self._own = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         profile = Path(self._own.name)
@@ -371,7 +369,8 @@ class Firefox:
         self._call("Marionette:SetContext", {"value": "content"})
         self._log.flush()
         log = (Path(self._own.name) / "log").read_text(errors="replace").splitlines()
-        return [*told, *(line for line in log if line.startswith("console."))]
+        # the second is the browser's own
+        return [*told, *(line for line in log if line.startswith("console.") and "RSLoader" not in line)]
 
     def requests(self) -> list[str]:
         return self._script(
