@@ -11,7 +11,7 @@ import gzip
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -136,7 +136,7 @@ def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     return {"points": points.tolist(), "closed": bool(closed), "name": name}
 
 
-def _known(what: str, name: str, names: Sequence[str]) -> str:
+def _known(what: str, name: str, names: Iterable[str]) -> str:
     if name not in names:
         raise UnknownName(f"export_page: the page has no {what} {name!r}. {did_you_mean(name, names)}")
     return name
