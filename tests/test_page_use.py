@@ -1,4 +1,4 @@
-"""The page on which one drives, under every hand: keys, sizes, colours, links, what goes out, what nobody should give."""
+"""The page on which one drives, under every hand: keys, sizes, colours, links, and what nobody should give it."""
 
 import json
 import re
@@ -169,7 +169,11 @@ SETUP = {
     "speed": {"lateral": 2}, "profile": "production", "seed": 5,
     "truth": {"lag": 0.31, "dead_time": 0.1, "bias": 0.01, "noise": 2, "friction": 0.8, "wind": -4},
     "controllers": [
-        {"kind": "informed", "tuning": {"Np": 25, "Nc": 6, "Q": 2.5, "R": 300}, "belief": {"lag": 0.2, "dead_time": 0.05}},
+        {
+            "kind": "informed",
+            "tuning": {"Np": 25, "Nc": 6, "Q": 2.5, "R": 300},
+            "belief": {"lag": 0.2, "dead_time": 0.05},
+        },
         {"kind": "stanley", "tuning": None, "belief": None},
     ],
 }  # fmt: skip
@@ -204,7 +208,10 @@ DROP = """
   given.items.add(file);
   document.getElementById("notice").textContent = "";
   let longest = 0, before = performance.now();
-  const beat = setInterval(() => { longest = Math.max(longest, performance.now() - before); before = performance.now(); }, 5);
+  const beat = setInterval(() => {
+    longest = Math.max(longest, performance.now() - before);
+    before = performance.now();
+  }, 5);
   document.body.dispatchEvent(new DragEvent("drop", {dataTransfer: given, bubbles: true, cancelable: true}));
   for (let k = 0; k < 500 && !adaptrackPage.state().notice; k++) await new Promise((done) => setTimeout(done, 10));
   clearInterval(beat);
