@@ -7,6 +7,7 @@ Chromium runs without a GPU. Nothing else should run on the machine.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
 import re
@@ -98,8 +99,6 @@ def main() -> None:
 
 def frames(page: Any, names: tuple[str, ...], seconds: float) -> None:
     """Frames a second while these cars drive."""
-    import json
-
     page.run(f"adaptrackPage.start({json.dumps(controllers(*names))})")
     found = page.run(f"{FRAMES}({seconds})")
     steps = np.diff(found["times"])
