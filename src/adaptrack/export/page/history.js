@@ -6,6 +6,7 @@
 //     top, shades,               |error| (m) at the end of the colours of the trail, and those colours (CSS)
 //     period,                    s, of control
 //     cars: [{name, outline: {front, rear, width, lf, lr, track_front, track_rear}, failed: null | s, count,
+//             limits: {angle, move},                      rad: |command| and |change of the command a period| at most
 //             columns: {time, x, y, yaw, ...: typed arrays; the first `count` entries count},
 //             predicted(i) -> null | {x, y, count},                    world, m; a view, valid until the next call
 //             moves(i) -> null | {values, count, least, most}}],       rad; likewise
@@ -15,7 +16,8 @@
 //   }
 //
 //   makeHistory(started, {top, shades})   from the worker's "started" message
-//   appendFrames(history, frames)         from its "frames" message; gives false when these frames don't follow
+//   appendFrames(history, frames)         from its "frames" message; gives false when these frames don't follow. A car's
+//                                         predicted path is a row of x and y in turn, NaN behind its end
 //   indexAt(time, count, t)               the last sample at or before t
 //   placeAt(car, t, place)                fills `place`: index, share, x, y, yaw, wheel_angle, failed
 //   valueAt(car, column, t, step)         between two samples on the straight line, or the one before (step)
@@ -76,23 +78,24 @@ function makeHistory(started, {top = 0.5, shades = []} = {}) {
 function growingCar({name, outline, columns: names, horizon = 0, moves: most = 0, limits = {}}) {
   const columns = Object.fromEntries(names.map(each => [each, new Float64Array(1024)]));
   const paths = makeShelf(2 * horizon), plans = makeShelf(most);
-  const path = {x: null, y: null, count: 0}, plan = {values: null, count: 0, least: NaN, most: NaN};
+  const path = {x: new Float64Array(horizon), y: new Float64Array(horizon), count: 0}, plan = {values: null, count: 0, least: NaN, most: NaN};
   return {
     name, outline, limits, names, columns, count: 0, failed: null, ended: null, paths, plans,
     predicted(i) {
       const row = paths.row(i);
       if (!row) return null;
-      path.x = row.subarray(0, horizon);
-      path.y = row.subarray(horizon);
-      path.count = finiteCount(path.x);
+      for (path.count = 0; path.count < horizon && Number.isFinite(row[2 * path.count]); path.count++) {
+        path.x[path.count] = row[2 * path.count];
+        path.y[path.count] = row[2 * path.count + 1];
+      }
       return path.count ? path : null;
     },
     moves(i) {
       plan.values = plans.row(i);
       if (!plan.values) return null;
       plan.count = finiteCount(plan.values);
-      plan.least = limits.least_move ?? -(limits.move ?? NaN);
-      plan.most = limits.most_move ?? limits.move ?? NaN;
+      plan.most = limits.move ?? NaN;
+      plan.least = -plan.most;
       return plan.count ? plan : null;
     },
   };
