@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
-from adaptrack.cars.vehicle import SteeringActuator, in_periods
+from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling.variables import reference_preview
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.core.variables import VARIABLES
 from adaptrack.drive.failure import Failure, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
@@ -147,7 +148,14 @@ class World:
     @property
     def dead_periods(self) -> tuple[int, float]:
         """From an instant until its command acts: whole control periods, and the share of one more."""
-        return in_periods(self.profile.delay * self.period + self.steering.dead_time, self.period)
+        whole, share = dead_periods(self.profile.delay, self.steering.dead_time, self.period)
+        return whole, share
+
+    @property
+    def remembered(self) -> int:
+        """Instants whose samples are kept because they come late; 0 where all sensors are prompt."""
+        oldest = self.profile.oldest
+        return math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
 
     def loop(self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None) -> Any:
         """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
@@ -155,8 +163,7 @@ class World:
         given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
         `core.period.traces`, None for none.
         """
-        slots, oldest = len(vehicles.start), self.profile.oldest
-        past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
+        slots, past = len(vehicles.start), self.remembered
         known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
         return period_kernel.Loop(
             settings=settings,

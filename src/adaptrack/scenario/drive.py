@@ -12,6 +12,7 @@ from pydantic import Field
 from adaptrack.base.checked import Count, Finite, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import PERIODS
+from adaptrack.core.synthesis.plant import start_pose
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind
@@ -123,13 +124,9 @@ class RoadDrive:
     def start_pose(self) -> tuple[float, float, float]:
         """x, y (m) and yaw (rad) at the start."""
         place = self.road.at(0.0)
-        heading = float(place.heading)
         offset = float(self._offset.at(0.0)) if self.start_offset is None else float(self.start_offset)
-        return (
-            float(place.x) - offset * math.sin(heading),
-            float(place.y) + offset * math.cos(heading),
-            heading + self.start_heading,
-        )
+        x, y, yaw = start_pose(float(place.x), float(place.y), float(place.heading), offset, self.start_heading)
+        return x, y, yaw
 
     def replace(self, **changes: Any) -> Self:
         """A copy with other values."""
