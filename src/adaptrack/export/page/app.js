@@ -33,7 +33,7 @@ class Refusal extends Error {
 async function makeEngine(died) {
   const {engine: worker, data} = await begin();
   const waiting = [];  // in the order in which they were asked
-  let drives = 0, over = false;
+  let drives = 0, reads = 0, over = false;
 
   function die(why) {
     if (over) return;
@@ -72,7 +72,8 @@ async function makeEngine(died) {
     ask(message, seconds = SILENT) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
       if (message.type === "start") forget();
-      const id = message.type === "start" || message.type === "read" ? ++drives : drives;
+      if (message.type === "start") drives++;
+      const id = message.type === "read" ? `read ${++reads}` : drives;
       return new Promise((take, fail) => {
         const watch = setTimeout(() => die("the simulation gave no answer"), 1000 * seconds);
         waiting.push({id, answer: ANSWER[message.type], take, fail, watch});
@@ -396,7 +397,7 @@ function showKey() {
 // ---- everything together
 
 const TRAIL = ["#2c7bb6", "#4b9ac0", "#7fbcc9", "#b9d8c4", "#e8e0a6", "#f5b866", "#e88047", "#d1422f"];
-let ticked = 0, answered = false;
+let ticked = 0, begun = false;
 
 function tick(now) {
   if (now - ticked < 180) return;
@@ -427,7 +428,7 @@ async function main() {
     page.notice(error instanceof Refusal ? byId("notice").textContent || error.message : `The page could not begin: ${error.message}`);
   }
   addEventListener("hashchange", followAddress);
-  answered = true;
+  begun = true;
 }
 
 async function followAddress() {
@@ -439,7 +440,7 @@ async function followAddress() {
 
 // For tests, and for who looks inside.
 window.adaptrackPage = {
-  get ready() { return answered; },
+  get ready() { return begun; },
   start: (setup, options) => start(setup, options),
   advance: advanceBy,
   change: (car, what, said) => change(car, what, said),
