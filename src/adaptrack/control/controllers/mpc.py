@@ -534,6 +534,19 @@ class MPC(Controller):
         response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
         return np.asarray((steps + 1.0) * self.period + self._delay * self.period), np.asarray(free + response)
 
+    def predicted_path(self, ahead: RoadAhead) -> Array:
+        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time."""
+        time, lateral = self.predicted_output()
+        delay = time[0] / self.period - 1.0
+        forward = max(float(self._mpc.memory[0].speed), self.speed_floor)
+        offset = lateral - ahead.bend(time.size + 1, forward, delay, self.period)[1:]
+        speeds = ahead.speeds
+        way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
+        last = self.period * speeds.size
+        gone = np.interp(time, self.period * np.arange(way.size), way) + speeds[-1] * np.maximum(time - last, 0.0)
+        foot = ahead.road.at(ahead.station + gone)
+        return np.stack([foot.x - offset * np.sin(foot.heading), foot.y + offset * np.cos(foot.heading)], axis=-1)
+
     def step(
         self,
         state: ArrayLike,
