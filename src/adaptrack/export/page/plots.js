@@ -174,10 +174,17 @@ function makeFrame(spec, history) {
         each.height = Math.round(frame.height * frame.dense);
       }
     },
-    entry(colour, dash, label, wide) {
+    // A value in the legend; those of one row stand together.
+    entry(row, colour, dash, label, wide) {
       const value = element("span", {class: "value"});
-      legend.append(element("li", {}, swatch(colour, dash, wide), element("span", {}, label), value));
+      row.append(element("span", {class: "entry"}, swatch(colour, dash, wide), element("span", {}, label), value));
       return value;
+    },
+    row(k) {
+      const row = element("li");
+      if (history.cars.length > 1 && k >= 0) row.append(element("i", {class: "car", style: `border-color: var(--series-${k % 6})`}, `${k + 1}`));
+      legend.append(row);
+      return row;
     },
   };
   return frame;
@@ -187,14 +194,14 @@ function write(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// The lines of all cars: {car, k, column, label, dash, colour, step}.
+// The lines of all cars: {car, k, column, label, name (in full), dash, step}.
 function linesOf(spec, history) {
   const several = history.cars.length > 1, alone = spec.lines.length === 1;
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
     if (!column) return [];
-    const label = !several ? line.label : alone ? car.name : `${car.name}, ${line.label}`;
-    return [{car, k, column, label, step: line.step, dash: dashOf(k, j), series: k}];
+    const label = several && alone ? car.name : line.label, name = several && !alone ? `${car.name}, ${line.label}` : label;
+    return [{car, k, column, label, name, step: line.step, dash: dashOf(k, j)}];
   }));
 }
 
@@ -202,8 +209,9 @@ function makeTimePlot(spec, history, clock, window_) {
   const frame = makeFrame(spec, history), lines = linesOf(spec, history), axis = makeAxis(spec), scale = spec.scale ?? 1;
   const {canvas, figure} = frame, limits = typeof spec.limits === "function" ? spec.limits(history) : spec.limits ?? [];
   const plot = {name: spec.name, frame, spec, from: 0, to: 1, drawnAt: -1, decimated, toPixel, toValue, describe, paintStill, paint, tell, range, resize: frame.resize};
-  const values = lines.map(line => frame.entry(`var(--series-${line.series})`, line.dash, line.label));
-  const truthValue = hasTruth() ? frame.entry("var(--ink)", [4, 2], "true", 1.6) : null;
+  const rows = history.cars.map((_, k) => lines.some(line => line.k === k) ? frame.row(k) : null);
+  const values = lines.map(line => frame.entry(rows[line.k], `var(--series-${line.k % 6})`, line.dash, line.label));
+  const truthValue = hasTruth() ? frame.entry(rows.length > 1 ? frame.row(-1) : rows[0], "var(--ink)", [4, 2], "true", 1.6) : null;
   for (const [name, value] of Object.entries({tabindex: 0, role: "slider", "aria-label": `${spec.title}${spec.unit ? `, ${spec.unit}` : ""}, over time`})) canvas.setAttribute(name, value);
 
   function hasTruth() {
@@ -374,7 +382,7 @@ function makeTimePlot(spec, history, clock, window_) {
     const [wide, high] = inside(), perSecond = wide / (plot.to - plot.from);
     const x0 = MARGIN.left - plot.from * perSecond;
     let oldY = 0;
-    pen.strokeStyle = palette.series[line.series % 6];
+    pen.strokeStyle = palette.series[line.k % 6];
     pen.lineWidth = 1.8;
     pen.lineJoin = "round";
     pen.setLineDash(line.dash);
@@ -437,7 +445,7 @@ function makeTimePlot(spec, history, clock, window_) {
       const value = valueAt(line.car, line.column, t, line.step) * scale;
       const [x, y] = toPixel(Math.min(t, line.car.count ? line.car.columns.time[line.car.count - 1] : t), value);
       if (!Number.isFinite(y) || x < MARGIN.left - 1 || x > frame.width - MARGIN.right + 2) continue;
-      pen.fillStyle = palette.series[line.series % 6];
+      pen.fillStyle = palette.series[line.k % 6];
       pen.strokeStyle = palette.ground;
       pen.lineWidth = 1.5;
       pen.beginPath();
@@ -489,7 +497,7 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function spoken(t) {
-    const said = lines.map(line => `${line.label} ${textAt(line, t)}`);
+    const said = lines.map(line => `${line.name} ${textAt(line, t)}`);
     if (truthValue) said.push(`true ${inUnits(truthAt(t))}`);
     return said.join(", ");
   }
@@ -512,8 +520,8 @@ function makeTimePlot(spec, history, clock, window_) {
     const ranges = lines.map(line => {
       const found = range(line);
       if (!found) return "";
-      if (found.low === found.high) return ` ${line.label} is ${inUnits(found.low)} throughout.`;
-      return ` ${line.label} goes from ${inUnits(found.low)} at ${signed(found.lowAt, 1)} s to ${inUnits(found.high)} at ${signed(found.highAt, 1)} s.`;
+      if (found.low === found.high) return ` ${line.name} is ${inUnits(found.low)} throughout.`;
+      return ` ${line.name} goes from ${inUnits(found.low)} at ${signed(found.lowAt, 1)} s to ${inUnits(found.high)} at ${signed(found.highAt, 1)} s.`;
     });
     const met = limits.filter(limit => limit.value > 0).map(limit => ` The ${limit.label} is ±${inUnits(limit.value * scale)}.`);
     return `${spec.title} at ${signed(t, 2)} s: ${spoken(t)}. Between ${signed(plot.from, 1)} and ${signed(Math.min(plot.to, clock.end), 1)} s:${ranges.join("")}${met.join("")}`;
@@ -530,8 +538,8 @@ function makeMovesPlot(spec, history, clock) {
   const frame = makeFrame(spec, history), {canvas, figure} = frame, scale = spec.scale ?? 1;
   const axis = makeAxis({least: 0.02, around0: true});
   const plot = {name: spec.name, frame, spec, figure, canvas, drawnAt: -1, describe, paintStill() {}, paint, tell, lines: [], resize: frame.resize};
-  const values = history.cars.map((car, k) => frame.entry(`var(--series-${k})`, [], history.cars.length > 1 ? car.name : "next move", 7));
-  const limitValue = frame.entry("var(--warn)", [10, 4], "limit", 1.4);
+  const values = history.cars.map((car, k) => frame.entry(frame.row(k), `var(--series-${k % 6})`, [], history.cars.length > 1 ? car.name : "next move", 7));
+  const limitValue = frame.entry(frame.row(-1), "var(--warn)", [10, 4], "limit", 1.4);
   canvas.setAttribute("role", "img");
 
   const movesOf = car => car.count ? car.moves?.(indexAt(car.columns.time, car.count, clock.shown)) ?? null : null;
