@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, ROAD_LENGTH
-from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
+from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
+from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, road, rollout
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import size_of
 from adaptrack.core.loop import SENSED, SIGNAL
 from adaptrack.core.models import single_track
@@ -26,27 +27,34 @@ from adaptrack.core.models import path as path_model
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.period import Span
 from adaptrack.core.plants.contract import BLOCK, INPUT, SLOTS, STATE, STATES
+from adaptrack.core.planning import along, drive, speed
+from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
+from adaptrack.core.qp import problem as qp
+from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
 from adaptrack.core.variables import NAMES
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
-from adaptrack.export.page_inputs import car_fields
+from adaptrack.export.page_inputs import car_fields, tyre_numbers
 from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import ROADS, TESTS, controller_of, page_road
+from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.ahead import pack_roads
+from adaptrack.road.speed import SPACING
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
     rollout.Run, Span, road.Centreline, Order, Parts, Constants, car.Car, car.KnownWithin, car.Steering, laws.Common,
-    plant.Chassis, plant.Tyre, plant.Actuator, plant.Body, plant.Outline,
+    plant.Chassis, plant.Tyre, plant.Actuator, plant.Body, plant.Outline, along.Along, speed.Planning, drive.RoadDrive,
 )  # fmt: skip
 CALLED = (
     "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
-    "complete_car", "car_flaw", "outline_of", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
+    "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
     "start_pose", "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
-    "steering_delay", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
+    "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
+    "drive_samples", "drive_start", "complete_samples", "limit_rows", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
 )  # fmt: skip
 """What the engine calls; what it links besides are members."""
 MEMBERS = (
@@ -75,13 +83,16 @@ def page_data() -> dict[str, Any]:
     """All of it."""
     return _plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
-        "inputs": car_fields(), "cars": {name: _car(name) for name in list_vehicles()},
+        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
+        "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
+        "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
+        "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
         "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in KINDS},
         "schedules": {name: image(load_scheduler(name).plan(1)) for name in _schedules()},
         "roads": {name: _road(name) for name in ROADS}, "tests": {name: _test(name) for name in TESTS},
         "places": {"signal": SIGNAL._asdict(), "state": STATE._asdict(), "input": INPUT._asdict(),
-                   "measured": MEASURED._asdict(), "slots": SLOTS, "states": STATES},
+                   "plan": PLAN._asdict(), "slots": SLOTS, "states": STATES},
     })  # fmt: skip
 
 
@@ -104,14 +115,38 @@ def _sizes() -> dict[str, int]:
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
         "published_states": len(single_track.STATE), "turning": size_of(Turning), "estimator": size_of(kalman.Numbers),
         "learner": size_of(learning.Numbers), "answer": len(mpc.ANSWER), "beliefs": len(learning.BELIEFS),
-        "most_Np": min(150, int(PREDICTION_HORIZON.most)), "most_Nc": min(40, int(CONTROL_HORIZON.most)),
+        "plan": len(PLAN), "qp_planes": len(qp.PLANE), "qp_vectors": len(qp.VECTOR), "qp_rows": qp.ROW_VECTORS,
+        "turning_lag": Turning._fields.index("lag"), "most_Np": min(150, int(PREDICTION_HORIZON.most)), "most_Nc": min(40, int(CONTROL_HORIZON.most)),
     }  # fmt: skip
 
 
 def _car(name: str) -> dict[str, Any]:
-    found = load_vehicle(name)
-    tyre = load_tyre(found.tyre)
-    return {**found.model_dump(), "tyre": found.tyre, "tyre_name": tyre.name}
+    """A car as the page reads it from a file."""
+    made = load_vehicle(name)
+    sections = ("steering", "body", "known_within", "domain")
+    return {
+        "name": made.name, "description": made.description,
+        "numbers": {key: value for key, value in made.model_dump().items() if isinstance(value, float)},
+        **{key: None if getattr(made, key) is None else getattr(made, key).model_dump() for key in sections},
+        "tyre": {"name": made.tyre, "numbers": tyre_numbers(load_tyre(made.tyre))},
+    }  # fmt: skip
+
+
+def _comfort() -> dict[str, float]:
+    """What bounds a plan beside road and car (`core.planning.speed.Bounds`)."""
+    others = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
+    return {**Comfort().model_dump(), **others}
+
+
+def _straight() -> Road:
+    return Road.from_segments([Line(length=10.0)])
+
+
+def _along(made: Road) -> dict[str, float]:
+    """What lies along a level road of one width, speed limit and friction."""
+    names = ("width_left", "width_right", "friction")
+    limit = math.inf if made.speed_limit is None else float(made.speed_limit.value[0])
+    return {**{key: float(getattr(made, key).value[0]) for key in names}, "speed_limit": limit}
 
 
 def _controller(kind: str, profile: str) -> dict[str, Any]:
@@ -139,12 +174,9 @@ def _schedules() -> list[str]:
 def _road(name: str) -> dict[str, Any]:
     made = page_road(name)
     packed_road = pack_roads([made])
-    constants = {
-        key: float(getattr(made, key).value[0]) for key in ("width_left", "width_right", "speed_limit", "friction")
-    }
     return {
         "numbers": packed(packed_road.numbers[0]), "start": packed(packed_road.start),
-        "pieces": packed(packed_road.pieces), "closed": made.closed, "length": made.length, **constants,
+        "pieces": packed(packed_road.pieces), "closed": made.closed, "length": made.length, **_along(made),
     }  # fmt: skip
 
 
@@ -165,23 +197,16 @@ def _test(name: str) -> dict[str, Any]:
 
 def _words() -> dict[str, Any]:
     """What kernels answer, in words; by number."""
-    (light, heavy), (short, long) = car.MASSES, car.WHEELBASES
-    units = "Give the mass in kg, lengths in m, the inertia in kg m², stiffness in N/rad of one tyre."
     return {
-        "sheet": ["", f"The mass is {{mass}} kg: known are cars of {light:g} to {heavy:g} kg.",
-                  f"The wheelbase is {{wheelbase}} m: known are cars of {short:g} to {long:g} m.",
-                  "The load is {load} kg: it must be neither below 0 nor above the mass of the car itself.",
-                  "lf and lr do not make the wheelbase: give one of them, or neither."],
-        "car": ["", f"Yaw inertia and mass do not belong together: I/(m lf lr) is {{ratio}}, and cars have about 1. {units}",
-                f"A front tyre's stiffness is {{ratio}} times its load, and tyres have 5 to 30. {units}",
-                f"A rear tyre's stiffness is {{ratio}} times its load, and tyres have 5 to 30. {units}"],
-        "outline": ["", "The length leaves no room for an axle between the overhangs: correct the section “body”.",
-                    "The length is not wheelbase and overhangs: leave one of them out."],
-        "path": ["", f"A road needs at least {path.FEWEST} points.", "Point {} is no number.",
-                 f"Point {{}} is more than {path.WIDEST:g} m from the next one, or too far away: correct it.",
-                 "Point {} comes twice in a row: leave one out.",
-                 "The points are too near to one another: are x and y in metres?",
-                 "The points fold back on themselves behind point {}: no smooth road goes through them.", "again"],
+        "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
+                 "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
+                 "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
+                 "No speed can be planned on this road."],
+        "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
+                  "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
+                  "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",
+                  "angle": "The pull of the wheel (rad)", "duration": "How long the wheel is pulled (s)",
+                  "constant": "The speed (m/s)", "lateral": "The lateral acceleration (m/s²)"},
         "informed": ["", *(f"The controller cannot be made: {informed._WRONG.get(k, 'its memory is too small.')}"
                            for k in range(1, 7))],
     }  # fmt: skip

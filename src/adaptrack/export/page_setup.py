@@ -73,7 +73,9 @@ def car_of(given: Mapping[str, Any]) -> Vehicle:
         return at.load_vehicle(given["name"])
     if "sheet" in given:
         return at.vehicle_from_data_sheet("sheet", **given["sheet"])
-    return Vehicle(**{"name": "file", **given["file"]})
+    file = given["file"]
+    sections = {key: file.get(key) for key in ("steering", "body", "known_within", "domain") if file.get(key)}
+    return Vehicle(name=file.get("name", "file"), tyre=file["tyre"]["name"], **file["numbers"], **sections)
 
 
 def road_of(given: Mapping[str, Any]) -> Road:
@@ -125,10 +127,8 @@ def controller_of(given: Mapping[str, Any], car: Vehicle, profile: Profile) -> C
     options: dict[str, Any] = {"belief": at.Steering(**said)} if said else {}
     if kind == "learning":
         options["learning"] = Learning()
-    elif kind == "informed":
-        options["learning"] = None
-    elif scheduled:
+    elif kind.startswith("informed-"):
         options["scheduler"] = load_scheduler(f"informed-road-{scheduled}")
-    else:
+    elif kind != "informed":
         raise InvalidInput(f"controller {kind!r}: there is none of this kind.")
     return MPC(car, tuning, profile=profile, **options)

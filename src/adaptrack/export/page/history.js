@@ -12,7 +12,7 @@
 //             moves(i) -> null | {values, count, least, most}}],       rad; likewise
 //     events: [{time, text, car?}],                                    marked on the road and in the plots
 //     patches: [{from, to, friction}],                                 m; of ice; or {x, y}: a polygon
-//     truth: {name: [{time, value}]},                                  what is true from a time on, by name of the plot's
+//     truth: {belief_lag: [{time, value}], ...},                       what is true from a time on, by the belief's column
 //   }
 //
 //   makeHistory(started, {top, shades})   from the worker's "started" message
@@ -112,6 +112,7 @@ function makeShelf(width) {
   const ring = new Float32Array(RECENT * width);
   let coarse = new Float32Array(64 * width), count = 0;
   return {
+    width,
     put(rows, from) {
       const row = rows.subarray(from * width, (from + 1) * width);
       ring.set(row, (count % RECENT) * width);

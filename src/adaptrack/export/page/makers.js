@@ -3,6 +3,7 @@
 //   carOf(setup.car)                            -> { name, numbers, rows, outline, domain }
 //   worldOf(setup.profile, setup.truth)         -> { period, settings, actuator, ... }
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
+//   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
 //
 // What they lay into memory is given back by `forget(owned)`, where `owned` is the list that `owning(list)` has set.
@@ -48,46 +49,56 @@ function filled(row, table) {
 const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Array.from(values, real)));
 
 // -- car --------------------------------------------------------------------------------------------------------------
+/** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
 function carOf(given) {
-  const refuse = (text) => { throw new Refusal("car", text); };
-  if (given?.sheet) return carOfSheet(given.sheet, refuse);
-  if (given?.file) return carOfNumbers({ ...written.car_defaults, name: "car", ...given.file }, refuse);
+  if (given?.sheet) return carOfSheet(given.sheet);
+  if (given?.file) return carOfFile(given.file);
   const known = written.cars[given?.name];
-  return known ? carOfNumbers(known, refuse) : refuse(`There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
+  if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
+  return carOfFile(known);
 }
 
-function carOfSheet(sheet, refuse) {
-  const { mass, wheelbase, load = 0, body_style = "car" } = sheet;
-  const row = copied("synthesis.car.Car", sheet), within = copied("synthesis.car.KnownWithin");
-  const status = memory.call("complete_car", real(wheelbase), real(load), body_style === "truck" ? 1 : 0, row, within);
-  if (status) refuse(written.words.sheet[status].replace("{mass}", mass).replace("{wheelbase}", wheelbase).replace("{load}", load));
-  const numbers = { ...written.car_defaults, name: "sheet", ...sheet, ...row.$numbers };
-  return carOfRows(numbers, row, within, refuse);
+/** What throws InputErrors, as a refusal. */
+function readBy(where, read) {
+  try {
+    return read();
+  } catch (error) {
+    if (error instanceof inputs.InputError) throw new Refusal(where, error.message);
+    throw error;
+  }
+}
+const refuseFlaw = (where, flaw) => {
+  if (flaw) throw new Refusal(where, flaw);
+};
+
+function carOfSheet(typed) {
+  const sheet = readBy("car", () => inputs.readSheet(typed, written.inputs));
+  const row = copied("synthesis.car.Car", { ...sheet.known, mass: sheet.mass }), within = copied("synthesis.car.KnownWithin");
+  const status = memory.call("complete_car", sheet.wheelbase, sheet.load, sheet.truck, row, within);
+  refuseFlaw("car", inputs.sheetFlaw(status, sheet, written.inputs));
+  return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
-function carOfNumbers(numbers, refuse) {
-  const row = copied("synthesis.car.Car", numbers), said = numbers.known_within;
+function carOfFile(car) {
+  const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
   const [flaw, ratio] = memory.call("car_flaw", row);
-  if (flaw) refuse(written.words.car[flaw].replace("{ratio}", ratio.toPrecision(3)));
-  return carOfRows(numbers, row, within, refuse);
+  refuseFlaw("car", inputs.carFlaw(flaw, ratio, car, memory.call("static_loads", row.mass, row.lf, row.lr), written.inputs));
+  return carOfRows(car, row, within);
 }
 
-function carOfRows(numbers, row, within, refuse) {
-  const tyre = typeof numbers.tyre === "string" ? written.tyres[numbers.tyre] : numbers.tyre;
-  if (!tyre) refuse(`There is no tyre named “${numbers.tyre}”: choose one of ${Object.keys(written.tyres).join(", ")}.`);
+function carOfRows(car, row, within) {
   const rows = {
-    car: row, within, file: copied("synthesis.car.Steering", numbers.steering), chassis: copied("synthesis.plant.Chassis", numbers),
-    tyre: copied("synthesis.plant.Tyre", tyre), body: copied("synthesis.plant.Body", numbers.body),
+    car: row, within, file: copied("synthesis.car.Steering", car.steering), chassis: copied("synthesis.plant.Chassis", car.numbers),
+    tyre: copied("synthesis.plant.Tyre", car.tyre.numbers), body: copied("synthesis.plant.Body", car.body),
   };
-  const outline = copied("synthesis.plant.Outline");
-  const status = memory.call("outline_of", rows.body, rows.chassis, outline);
-  if (status) refuse(written.words.outline[status]);
-  const { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
-  return {
-    name: numbers.name, numbers, rows, domain: { ...written.car_defaults.domain, ...numbers.domain },
-    outline: { ...outline.$numbers, lf, lr, track_front, track_rear },
-  };
+  const outline = copied("synthesis.plant.Outline"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
+  const [status, front, rear] = memory.call("overhangs", rows.body, lf + lr);
+  refuseFlaw("car", inputs.outlineFlaw(status, front, rear, car, written.inputs));
+  memory.call("outline_of", rows.body, rows.chassis, outline);
+  const plain = mine(memory.array("F", [written.sizes.parameters]));
+  memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", written.ideal), plain);
+  return { name: car.name, rows, plain, domain: car.domain, outline: { ...outline.$numbers, lf, lr, track_front, track_rear } };
 }
 
 // -- world ------------------------------------------------------------------------------------------------------------
@@ -110,23 +121,16 @@ function worldOf(name, truth) {
 function changeTruth(world, truth) {
   for (const name of STEERING) {
     if (!(name in truth)) continue;
-    world.actuator[name] = checkedTruth(name, truth[name] ?? real(world.usual_actuator[name]));
+    const usual = real(world.usual_actuator[name]);
+    world.actuator[name] = truth[name] == null ? usual : checked("truth", name, truth[name]);
   }
   if ("noise" in truth) {
-    const factor = checkedTruth("noise", truth.noise ?? 1);
+    const factor = truth.noise == null ? 1 : checked("truth", "noise", truth.noise);
     for (const name of Object.keys(world.settings).filter((each) => each.startsWith("noise_"))) {
       const usual = real(world.usual[name]);
       if (usual < Infinity) world.settings[name] = usual * factor;
     }
   }
-}
-
-/** A number of the truth within its bounds. */
-function checkedTruth(name, value) {
-  const [low, high] = written.bounds[name];
-  const found = Number(value);
-  if (!(found >= low && found <= high)) throw new Refusal("truth", `${name} is ${value}: it must be a number from ${low} to ${high}.`);
-  return found;
 }
 
 /** The settings of the loop for a car up to a speed (m/s), and the plant's parameters and functions. */
@@ -186,11 +190,11 @@ function roadThrough({ points, closed = false, name = "points" }) {
     if (size > MOST_WORDS) refuse("The road is too long: its points may be in millimetres. Give x and y in metres.");
     const path = mine(memory.array("F", [Math.max(size, 1)]));
     const [status, found] = memory.call("path_through", given, closed ? 1 : 0, path);
-    if (written.words.path[status] === "again") {
+    if (status === written.inputs.answers.path_through.TOO_SMALL) {
       size *= 2;
       continue;
     }
-    if (status) refuse(written.words.path[status].replaceAll("{}", found));
+    refuseFlaw("road", inputs.roadFlaw(status, found, { count: points.length }, written.inputs));
     const [count, piece, start, heading] = memory.call("path_parts", path), numbers = view(path, 0, [written.sizes.road_numbers]);
     if (numbers.values[0] > written.bounds.road_length[1]) refuse(`The road is ${Math.round(numbers.values[0])} m long: at most ${written.bounds.road_length[1]} m are driven.`);
     return road({ ...written.road_defaults, name }, numbers, view(path, start, [count + 1]),
@@ -209,11 +213,12 @@ function drawn(of) {
   if (of.test) return drawnTest(of);
   const count = Math.max(2, Math.min(Math.ceil(of.length / 2), 20000)) + 1;
   const s = vectorOf(Array.from({ length: count }, (_, k) => (of.length * k) / (count - 1)));
-  const sides = [of.width_left, of.width_right].map((width) => vectorOf(new Array(count).fill(width)));
-  const points = mine(memory.array("F", [count, 6]));
-  memory.call("edges_along", of.line, s, ...sides, points);
-  const column = (k) => Float64Array.from({ length: count }, (_, i) => points.values[6 * i + k]);
-  const [x, y, left_x, left_y, right_x, right_y] = [0, 1, 2, 3, 4, 5].map(column);
+  const points = mine(memory.array("F", [count, 4])), edges = mine(memory.array("F", [count, 4]));
+  memory.call("points_at", of.line, s, points);
+  memory.call("road_edges", of.line, constantAlong(of.width_left), constantAlong(of.width_right), s, edges);
+  const column = (block, k) => Float64Array.from({ length: count }, (_, i) => block.values[4 * i + k]);
+  const [x, y] = [0, 1].map((k) => column(points, k));
+  const [left_x, left_y, right_x, right_y] = [0, 1, 2, 3].map((k) => column(edges, k));
   return { name: of.name, closed: of.closed, length: of.length, s: s.values.slice(), x, y, left_x, left_y, right_x, right_y };
 }
 function drawnTest(of) {
@@ -224,6 +229,85 @@ function drawnTest(of) {
     right_x: x.slice(), right_y: beside(-of.width_right),
   };
 }
+
+// -- speed and samples ------------------------------------------------------------------------------------------------
+/** A quantity of one value all along a road; Infinity: none is given. */
+const alongOf = (value) =>
+  value < Infinity ? { s: { shape: [1] }, value: { shape: [1], values: [value] } } : { s: { shape: [0] }, value: { shape: [0] } };
+const constantAlong = (value) => mine(memory.make("planning.along.Along", alongOf(value)));
+
+const AN_HOUR = 3600, MOST_SAMPLES = 200000;
+const PLANNED = 0;
+
+/** How fast a road is driven: { table, plan (for RoadDrive), duration }. */
+function planOf(speed, of, car, world) {
+  const line = of.line, numbers = { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) };
+  const route = { line: numbers, friction: alongOf(of.friction), bank: alongOf(0), speed_limit: alongOf(of.speed_limit) };
+  const spacing = real(written.comfort.spacing), none = vectorOf([]);
+  const places = memory.call("plan_places", line.start, spacing, none, none);
+  if (!places) throw new Refusal("speed", "No speed can be planned on this road: its length is no number.");
+  const table = mine(memory.array("F", [written.sizes.plan, places]));
+  const planning = mine(memory.make("planning.speed.Planning", { route, car: share(car.plain), table: share(table) }));
+  filled(planning.bounds, { ...written.comfort, domain_speed: car.domain.speed[1], steering_limit: car.rows.file.limit });
+  const duration = speed?.constant !== undefined ? constantPlan(speed.constant, planning) : lateralPlan(speed?.lateral, planning);
+  if (!(duration > 0 && duration < Infinity)) throw new Refusal("speed", "The plan never arrives: somewhere its speed is 0.");
+  const row = (name) => view(table, written.places.plan[name] * places, [places]);
+  return { route, places, table, s: row("s"), speed: row("speed"), time: row("time"), duration };
+}
+
+function constantPlan(speed, planning) {
+  return memory.call("plan_constant", checked("speed", "constant", speed), planning);
+}
+function lateralPlan(lateral, planning) {
+  planning.bounds.lateral = checked("speed", "lateral", lateral);
+  const [status, place, value, duration] = memory.call("plan_along_road", planning);
+  if (status === PLANNED) return duration;
+  const s = planning.table.values[written.places.plan.s * planning.table.shape[1] + place];
+  throw new Refusal("speed", written.words.plan[status].replace("{s}", s.toFixed(1)).replace("{value}", value.toPrecision(3)));
+}
+
+/** A number within its bounds. */
+function checked(where, name, value) {
+  const [low, high] = written.bounds[name], found = value === null ? NaN : Number(value);
+  if (found >= low && found <= high) return found;
+  throw new Refusal(where, `${written.words.named[name]} is ${value}: it must be a number from ${low} to ${high}.`);
+}
+
+/** What happens at the instants: { signals, periods, plan, laps, pose, duration }. */
+function samplesOf(setup, of, car, world) {
+  if (of.test) return samplesOfTest(of, world, setup.truth ?? {});
+  const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
+  const laps = of.closed ? Math.max(1, Math.floor(AN_HOUR / plan.duration)) : 1;
+  const periods = memory.call("drive_periods", plan.duration, laps, period);
+  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods: 1 to ${MOST_SAMPLES} are possible.`);
+  const route = { ...plan.route, friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)) };
+  const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
+  const drive = mine(memory.make("planning.drive.RoadDrive", {
+    route, period, plan: { s: share(plan.s), speed: share(plan.speed), time: share(plan.time), duration: plan.duration, closed: of.closed ? 1 : 0 },
+    reference: share(vectorOf([0])), wind_x: share(vectorOf([0])), wind_y: share(vectorOf([wind])),
+  }));
+  const signals = mine(memory.array("F", [written.sizes.signals, periods + 1])), pose = mine(memory.array("F", [3]));
+  memory.call("drive_samples", drive, signals);
+  memory.call("drive_start", of.line, 0, 0, pose);
+  return { signals, periods, plan, laps, pose: [...pose.values], duration: periods * period };
+}
+
+/** The samples of a test: what is known of it, completed by the kernel. */
+function samplesOfTest(of, world, truth) {
+  const every = Math.round(world.period / of.period), periods = Math.floor((of.samples - 1) / every), count = periods + 1;
+  const signals = mine(memory.array("F", [written.sizes.signals, count])), { signal } = written.places;
+  const put = (name, from, fixed) => {
+    const values = fixed == null ? unpackedNumbers(of[from].f8) : null, target = view(signals, signal[name] * count, [count]).values;
+    for (let k = 0; k < count; k++) target[k] = values ? values[every * k] : fixed;
+  };
+  put("y_ref", "y_ref");
+  put("speed", "speed");
+  for (const wheel of WHEELS) put(wheel, "friction", truth.friction == null ? null : checked("truth", "friction", truth.friction));
+  put("wind_y", "wind", truth.wind == null ? null : checked("truth", "wind", truth.wind));
+  memory.call("complete_samples", world.period, signals);
+  return { signals, periods, plan: null, laps: 1, pose: of.start, duration: periods * world.period };
+}
+const WHEELS = ["friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"];
 
 // -- controller -------------------------------------------------------------------------------------------------------
 /** A controller of a setup: an MPC or a law, ready to be laid into a run. */
@@ -309,4 +393,87 @@ function lawOf(entry, known, car, where) {
   const fine = memory.call(known.made_by, car.rows.car, common, ...wanted, parameters);
   if (wanted.length && !fine) throw new Refusal(where, "There is no gain for weights so far apart: bring them nearer to one another.");
   return { kind: entry.kind, known, law: true, parameters, tuning, learns: false };
+}
+
+// -- into a run -------------------------------------------------------------------------------------------------------
+/** The parts of a run that are the controller's: { mpc, law }, as `Memory.make` takes them. */
+function laid(controller, of) {
+  const { sizes } = written;
+  if (controller.law) {
+    const { known, parameters } = controller, said = known.diagnostics.length;
+    const held = known.diagnostics.indexOf("held");
+    controller.said = ["command_change", "held", ...known.diagnostics, ...known.tuning_names];
+    return {
+      mpc: smallestMpc(known),
+      law: {
+        function: { function: known.function }, parameters: share(parameters), memory: { shape: [1, known.memory] },
+        situation: { shape: [sizes.situation] }, own_answer: { shape: [1 + said] }, answer: { shape: [1, 3 + said] },
+        held: held < 0 ? 0 : 1 + held, preview: known.preview ? 1 : 0,
+      },
+    };
+  }
+  const { constants, states, remembers, learned, settings, learns } = controller, curved = !of.test;
+  const turning = settings.informed ? constants.turning : none();
+  controller.said = [...written.answer.slice(1), ...(learns ? written.beliefs : [])];
+  const mpc = mpcShapes({
+    settings: { ...settings.$numbers, curved: curved ? 1 : 0, feeds_forward: curved && countOf(turning.shape) ? 1 : 0 },
+    states, remembers, learned, turning: curved || countOf(turning.shape) ? turning : none(),
+  });
+  mpc.parameters = share(constants.model);
+  mpc.states = { shape: constants.states.shape, values: constants.states.values.slice() };
+  mpc.model.c.values = outputOf(states);
+  if (settings.informed) {
+    mpc.informed.estimator = share(constants.estimator);
+    mpc.informed.learner = share(constants.learner);
+    mpc.informed.fresh = share(constants.fresh);
+    if (learns) mpc.informed.learned.values = constants.fresh.values.slice();
+  }
+  return { mpc, law: {} };
+}
+const none = () => vectorOf([]);
+/** The output is the last state. */
+const outputOf = (states) => Float64Array.from({ length: states }, (_, k) => (k === states - 1 ? 1 : 0));
+
+const padded = (count) => Math.ceil(count / 8) * 8;
+/** Shapes of an MPC of one slot (stand-in until a kernel gives them). */
+function mpcShapes({ settings, states, remembers, learned, turning }) {
+  const n = states, horizon = settings.longest_horizon, moves = Math.min(settings.most_moves, horizon), { informed, curved } = settings;
+  const columns = moves, count = 4 * moves, wide = padded(horizon), width = padded(columns), m = padded(count), has = countOf(turning.shape) > 0;
+  const shape = (...sizes) => ({ shape: sizes });
+  const ahead = curved && has ? horizon + 1 : 0;
+  return {
+    settings, model: { a: shape(n, n), b: shape(n), c: shape(n), e: shape(n), row: shape(n), next_row: shape(n), sum: shape(n) },
+    memory: { shape: [1] }, previous: shape(1, n), plan: shape(1, width),
+    answer: shape(1, written.sizes.answer + (learned ? written.sizes.beliefs : 0)),
+    bend: shape(curved ? bendSize(horizon, settings.period, turning) : 0),
+    feed: { turning: share(turning), expected: shape(ahead), moves: shape(ahead), scratch: shape(ahead) },
+    informed: {
+      x: shape(informed ? n : 0), d: shape(informed ? n : 0), a: shape(informed ? 1 : 0, n, n), b: shape(informed ? 1 : 0, n),
+      estimator: shape(0), estimates: shape(1, remembers), learner: shape(0), fresh: shape(0), learned: shape(1, learned),
+    },
+    ws: {
+      free: shape(1, n, wide), step: shape(1, wide), moves: shape(columns, wide), phi: shape(1, columns, wide), hessian: shape(1, columns, width),
+      factor: shape(1, 2, columns, width), rows: shape(1, columns, m), bounds: shape(m), reference: shape(wide), error: shape(wide + width + 8),
+      change: shape(n), gradient: shape(width), solution: shape(width), multipliers: shape(m),
+      qp_work: shape(1, written.sizes.qp_planes, Math.max(width, written.sizes.qp_vectors), width), qp_rows: shape(written.sizes.qp_rows, m),
+      qp_index: shape(1, Math.max(columns, count)),
+    },
+  };
+}
+function bendSize(horizon, period, turning) {
+  if (!countOf(turning.shape)) return horizon + 1;
+  return horizon + 1 + Math.ceil((turning.values[written.sizes.turning_lag] + 0.5) / period) + 2;
+}
+function smallestMpc(known) {
+  const settings = { period: real(known.common.period), longest_horizon: 1, most_moves: 1, output_min: -Infinity, output_max: Infinity };
+  const shapes = mpcShapes({ settings: { ...settings, informed: 0, curved: 0 }, states: 4, remembers: 0, learned: 0, turning: none() });
+  return { ...shapes, settings, parameters: { shape: [6] }, states: { shape: [4], values: [0n, 1n, 2n, 3n] } };
+}
+
+/** What of a workspace is written before the first step. */
+function prepareWorkspace(mpc) {
+  const { most_moves, longest_horizon } = mpc.settings, moves = Math.min(most_moves, longest_horizon), rows = mpc.ws.rows;
+  const [, columns, m] = rows.shape;
+  memory.call("limit_rows", moves, columns, 0, mpc.ws.moves, view(rows, 0, [columns, m]));
+  mpc.memory.row(0).speed = NaN;
 }

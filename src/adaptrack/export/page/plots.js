@@ -14,16 +14,21 @@
 //           lines: [{column, label, step}],       of each car; a second car has its own colour and dashes
 //           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
 //           band: {column, sigma, k, ratio},      value +- k sigma, or times exp(+-k sigma) (ratio)
-//           truth: name,                          in history.truth, or a column of the cars
+//           truth: name,                          in history.truth
+//           asked: true,                          shown only where `choose` names it
 //           marks: {column, label}}               where a count grows: a mark below
 //        or {name, kind: "moves", title, unit, digits, scale}     the planned moves at the cursor against their limits
-//   PLOTS holds those of the house; `specsFor(history)` those that a drive has the columns for.
+//   PLOTS holds those of the house; `specsFor(history, specs, names)` gives those that a drive has the columns for.
 //
 //   A plot is a slider of time: arrows, page up/down, home, end move the cursor, Enter and a click seek, Escape leaves.
 
 const DEGREES = 180 / Math.PI;
 
 const PLOTS = [
+  {
+    name: "path", title: "Path beside the road's centre", unit: "m", digits: 3, least: 0.5, asked: true,
+    lines: [{column: "offset", label: "driven"}, {column: "y_ref", label: "reference"}],
+  },
   {name: "error", title: "Error", unit: "m", digits: 3, least: 0.1, around0: true, lines: [{column: "error", or: "offset", label: "error"}]},
   {
     name: "steering", title: "Steering", unit: "°", digits: 2, scale: DEGREES, least: 2, around0: true,
@@ -35,7 +40,7 @@ const PLOTS = [
   },
   {
     name: "speed", title: "Speed", unit: "m/s", digits: 2, least: 2,
-    lines: [{column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", label: "planned"}],
+    lines: [{column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned"}],
   },
   {name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true, lines: [{column: "lateral_acceleration", label: "lateral"}]},
   ...[
@@ -43,7 +48,7 @@ const PLOTS = [
     ["stiffness", "Believed stiffness", "", 2, 0.2, true], ["bias", "Believed steering bias", "rad", 4, 0.01, false],
     ["friction", "Believed friction", "", 2, 0.2, true],
   ].map(([name, title, unit, digits, least, ratio]) => ({
-    name, title, unit, digits, least, truth: name, lines: [{column: `belief_${name}`, label: "belief"}],
+    name, title, unit, digits, least, truth: `belief_${name}`, lines: [{column: `belief_${name}`, label: "belief"}],
     band: {column: `belief_${name}`, sigma: `belief_${name}_sigma`, k: 2, ratio},
   })),
   {
@@ -60,10 +65,10 @@ const PLOTS = [
 
 const columnOf = (car, line) => car.columns[line.column] ? line.column : car.columns[line.or] ? line.or : null;
 
-function specsFor(history) {
-  return PLOTS.filter(spec => spec.kind === "moves"
-    ? history.cars.some(car => car.hasMoves ?? car.plans)
-    : history.cars.some(car => spec.lines.some(line => columnOf(car, line))));
+// Those of the specs, by name or all, that the drive has something for.
+function specsFor(history, specs = PLOTS, names = null) {
+  const has = spec => history.cars.some(car => spec.kind === "moves" ? car.plans?.width : spec.lines.some(line => columnOf(car, line)));
+  return specs.filter(spec => has(spec) && (names ? names.includes(spec.name) : !spec.asked));
 }
 
 // ±limit of the first car that says one.
@@ -174,10 +179,17 @@ function makeFrame(spec, history) {
         each.height = Math.round(frame.height * frame.dense);
       }
     },
-    entry(colour, dash, label, wide) {
+    // A value in the legend; those of one row stand together.
+    entry(row, colour, dash, label, wide) {
       const value = element("span", {class: "value"});
-      legend.append(element("li", {}, swatch(colour, dash, wide), element("span", {}, label), value));
+      row.append(element("span", {class: "entry"}, swatch(colour, dash, wide), element("span", {}, label), value));
       return value;
+    },
+    row(k) {
+      const row = element("li");
+      if (history.cars.length > 1 && k >= 0) row.append(element("i", {class: "car", style: `border-color: var(--series-${k % 6})`}, `${k + 1}`));
+      legend.append(row);
+      return row;
     },
   };
   return frame;
@@ -187,14 +199,14 @@ function write(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// The lines of all cars: {car, k, column, label, dash, colour, step}.
+// The lines of all cars: {car, k, column, label, name (in full), dash, step}.
 function linesOf(spec, history) {
   const several = history.cars.length > 1, alone = spec.lines.length === 1;
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
     if (!column) return [];
-    const label = !several ? line.label : alone ? car.name : `${car.name}, ${line.label}`;
-    return [{car, k, column, label, step: line.step, dash: dashOf(k, j), series: k}];
+    const label = several && alone ? car.name : line.label, name = several && !alone ? `${car.name}, ${line.label}` : label;
+    return [{car, k, column, label, name, step: line.step, dash: dashOf(k, j)}];
   }));
 }
 
@@ -202,13 +214,12 @@ function makeTimePlot(spec, history, clock, window_) {
   const frame = makeFrame(spec, history), lines = linesOf(spec, history), axis = makeAxis(spec), scale = spec.scale ?? 1;
   const {canvas, figure} = frame, limits = typeof spec.limits === "function" ? spec.limits(history) : spec.limits ?? [];
   const plot = {name: spec.name, frame, spec, from: 0, to: 1, drawnAt: -1, decimated, toPixel, toValue, describe, paintStill, paint, tell, range, resize: frame.resize};
-  const values = lines.map(line => frame.entry(`var(--series-${line.series})`, line.dash, line.label));
-  const truthValue = hasTruth() ? frame.entry("var(--ink)", [4, 2], "true", 1.6) : null;
+  const rows = history.cars.map((_, k) => lines.some(line => line.k === k) ? frame.row(k) : null);
+  const values = lines.map(line => frame.entry(rows[line.k], `var(--series-${line.k % 6})`, line.dash, line.label));
+  const truthValue = spec.truth ? frame.entry(rows.length > 1 ? frame.row(-1) : rows[0], "var(--ink)", [4, 2], "true", 1.6) : null;
   for (const [name, value] of Object.entries({tabindex: 0, role: "slider", "aria-label": `${spec.title}${spec.unit ? `, ${spec.unit}` : ""}, over time`})) canvas.setAttribute(name, value);
 
-  function hasTruth() {
-    return Boolean(spec.truth) && Boolean(history.truth?.[spec.truth] || history.cars.some(car => car.columns[spec.truth]));
-  }
+  const hasTruth = () => Boolean(spec.truth && history.truth?.[spec.truth]?.length);
 
   // -- geometry
 
@@ -374,7 +385,7 @@ function makeTimePlot(spec, history, clock, window_) {
     const [wide, high] = inside(), perSecond = wide / (plot.to - plot.from);
     const x0 = MARGIN.left - plot.from * perSecond;
     let oldY = 0;
-    pen.strokeStyle = palette.series[line.series % 6];
+    pen.strokeStyle = palette.series[line.k % 6];
     pen.lineWidth = 1.8;
     pen.lineJoin = "round";
     pen.setLineDash(line.dash);
@@ -437,7 +448,7 @@ function makeTimePlot(spec, history, clock, window_) {
       const value = valueAt(line.car, line.column, t, line.step) * scale;
       const [x, y] = toPixel(Math.min(t, line.car.count ? line.car.columns.time[line.car.count - 1] : t), value);
       if (!Number.isFinite(y) || x < MARGIN.left - 1 || x > frame.width - MARGIN.right + 2) continue;
-      pen.fillStyle = palette.series[line.series % 6];
+      pen.fillStyle = palette.series[line.k % 6];
       pen.strokeStyle = palette.ground;
       pen.lineWidth = 1.5;
       pen.beginPath();
@@ -481,7 +492,8 @@ function makeTimePlot(spec, history, clock, window_) {
   function tell() {
     const t = clock.shown;
     lines.forEach((line, i) => write(values[i], textAt(line, t)));
-    if (truthValue) write(truthValue, inUnits(truthAt(t)));
+    if (truthValue) truthValue.parentNode.hidden = !hasTruth();
+    if (hasTruth()) write(truthValue, inUnits(truthAt(t)));
     canvas.setAttribute("aria-valuemin", clock.start.toFixed(2));
     canvas.setAttribute("aria-valuemax", clock.end.toFixed(2));
     canvas.setAttribute("aria-valuenow", t.toFixed(2));
@@ -489,8 +501,8 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function spoken(t) {
-    const said = lines.map(line => `${line.label} ${textAt(line, t)}`);
-    if (truthValue) said.push(`true ${inUnits(truthAt(t))}`);
+    const said = lines.map(line => `${line.name} ${textAt(line, t)}`);
+    if (hasTruth()) said.push(`true ${inUnits(truthAt(t))}`);
     return said.join(", ");
   }
 
@@ -512,8 +524,8 @@ function makeTimePlot(spec, history, clock, window_) {
     const ranges = lines.map(line => {
       const found = range(line);
       if (!found) return "";
-      if (found.low === found.high) return ` ${line.label} is ${inUnits(found.low)} throughout.`;
-      return ` ${line.label} goes from ${inUnits(found.low)} at ${signed(found.lowAt, 1)} s to ${inUnits(found.high)} at ${signed(found.highAt, 1)} s.`;
+      if (found.low === found.high) return ` ${line.name} is ${inUnits(found.low)} throughout.`;
+      return ` ${line.name} goes from ${inUnits(found.low)} at ${signed(found.lowAt, 1)} s to ${inUnits(found.high)} at ${signed(found.highAt, 1)} s.`;
     });
     const met = limits.filter(limit => limit.value > 0).map(limit => ` The ${limit.label} is ±${inUnits(limit.value * scale)}.`);
     return `${spec.title} at ${signed(t, 2)} s: ${spoken(t)}. Between ${signed(plot.from, 1)} and ${signed(Math.min(plot.to, clock.end), 1)} s:${ranges.join("")}${met.join("")}`;
@@ -530,8 +542,8 @@ function makeMovesPlot(spec, history, clock) {
   const frame = makeFrame(spec, history), {canvas, figure} = frame, scale = spec.scale ?? 1;
   const axis = makeAxis({least: 0.02, around0: true});
   const plot = {name: spec.name, frame, spec, figure, canvas, drawnAt: -1, describe, paintStill() {}, paint, tell, lines: [], resize: frame.resize};
-  const values = history.cars.map((car, k) => frame.entry(`var(--series-${k})`, [], history.cars.length > 1 ? car.name : "next move", 7));
-  const limitValue = frame.entry("var(--warn)", [10, 4], "limit", 1.4);
+  const values = history.cars.map((car, k) => frame.entry(frame.row(k), `var(--series-${k % 6})`, [], history.cars.length > 1 ? car.name : "next move", 7));
+  const limitValue = frame.entry(frame.row(-1), "var(--warn)", [10, 4], "limit", 1.4);
   canvas.setAttribute("role", "img");
 
   const movesOf = car => car.count ? car.moves?.(indexAt(car.columns.time, car.count, clock.shown)) ?? null : null;
@@ -673,10 +685,11 @@ function listenTo(plot, clock, timeAt) {
 
 const SPANS = [10, 20, 30, 60, 90, 120, 180, 300, 600, 900, 1200, 1800, 2700, 3600, 5400, 7200, 14400];
 const BUDGET = 5, TELL = 120;  // ms: of drawing lines anew in a frame; between two changes of words while it plays
+const SLOW = 20, REST = 150;  // ms: where frames take longer than SLOW, a plot's lines rest so long
 
 function makePlots(box, history, clock, specs = null, options = {}) {
   const plots = {list: [], show, setSpan, choose, describe, draw, span: options.span ?? 20};
-  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, version = -1, seen = null;
+  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, version = -1, seen = null, before = 0, pace = 0;
   box.classList.add("plots");
 
   // The window: of so many seconds about the clock, moved only when the clock comes to its edge.
@@ -709,8 +722,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   function build() {
     observer.disconnect();
     from = clock.start;
-    const shown = (specs ?? specsFor(history)).filter(spec => !chosen || chosen.includes(spec.name));
-    plots.list = shown.map(spec => spec.kind === "moves" ? makeMovesPlot(spec, history, clock) : makeTimePlot(spec, history, clock, windowNow));
+    plots.list = specsFor(history, specs ?? PLOTS, chosen).map(spec => spec.kind === "moves" ? makeMovesPlot(spec, history, clock) : makeTimePlot(spec, history, clock, windowNow));
     box.replaceChildren(...plots.list.map(plot => plot.figure));
     for (const plot of plots.list) {
       plot.resize();
@@ -727,8 +739,10 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   // What the lines depend on: as long as none of it changes they are not drawn again.
   function state() {
     const [left, right] = windowNow();
-    return [left, right, clock.end, palette.version, history.events.length, history.truth, plots.span];
+    return [left, right, clock.end, palette.version, history.events.length, truths(), plots.span];
   }
+
+  const truths = () => Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
 
   function paint(now) {
     const next = state();
@@ -737,7 +751,10 @@ function makePlots(box, history, clock, specs = null, options = {}) {
       version = palette.version;
       for (const plot of plots.list) plot.stale = true;
     }
-    const waiting = plots.list.filter(plot => plot.stale).sort((a, b) => a.drawnAt - b.drawnAt), begun = performance.now();
+    pace += 0.1 * (Math.min(now - before, 100) - pace);
+    before = now;
+    const rest = clock.playing && pace > SLOW ? REST : 0, begun = performance.now();
+    const waiting = plots.list.filter(plot => plot.stale && now - plot.drawnAt >= rest).sort((a, b) => a.drawnAt - b.drawnAt);
     for (const plot of waiting) {
       if (performance.now() - begun > BUDGET) break;
       plot.paintStill(now);

@@ -582,7 +582,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
   function drawLabel(text, px, py, colour = palette.ink) {
     pen.font = `13px ${palette.font}`;
     const wide = pen.measureText(text).width + 12;
-    const x = Math.min(Math.max(px + 12, 4), view.width - wide - 4), y = Math.min(Math.max(py - 12, 14), view.height - 14);
+    const x = Math.min(Math.max(px + 14, 4), view.width - wide - 4), y = Math.min(Math.max(py - 26, 14), view.height - 14);
     pen.fillStyle = palette.ground;
     pen.globalAlpha = 0.88;
     pen.beginPath();
