@@ -22,12 +22,14 @@ from numpy.typing import ArrayLike
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
-from adaptrack.road.generate import KINDS
+from adaptrack.export.page_data import KINDS, page_data
+from adaptrack.export.page_kernels import page_kernels
+from adaptrack.export.page_setup import ROADS
 from adaptrack.road.points import read_points
 from adaptrack.scenario.profile import list_profiles
 
 SOURCES = Path(__file__).parent / "page"
-ENGINE = ("memory.js", "inputs.js", "engine.js")
+ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST, LAST = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
@@ -51,11 +53,6 @@ class PageParts:
     """what Python writes into the page"""
 
 
-CONTROLLERS = (
-    "informed", "learning", "published", "published-nn", "published-anfis", "informed-nn", "informed-anfis",
-    "pure-pursuit", "stanley", "lqr",
-)  # fmt: skip
-"""That the page can drive."""
 MOST_CONTROLLERS = 2
 
 
@@ -90,7 +87,8 @@ def export_page(
     profile : str
         Of the simulated world: "paper", "road", "production".
     controllers : names
-        One, or two side by side: see `CONTROLLERS`.
+        One, or two side by side: "informed", "learning", "published", "published-nn", "published-anfis",
+        "informed-nn", "informed-anfis", "pure-pursuit", "stanley", "lqr".
     seed : int
         Of the sensors' noise.
 
@@ -111,7 +109,7 @@ def export_page(
         "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
         "profile": _known("profile", profile, list_profiles()),
         "seed": seed,
-        "controllers": [{"kind": _known("controller", each, CONTROLLERS)} for each in controllers],
+        "controllers": [{"kind": _known("controller", each, KINDS)} for each in controllers],
     }
     return write_page(file, setup)
 
@@ -126,7 +124,7 @@ def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     if isinstance(road, str | os.PathLike):
         if os.path.splitext(road)[1].lower() not in (".csv", ".txt"):
-            return {"name": _known("road", os.fspath(road), KINDS)}
+            return {"name": _known("road", os.fspath(road), ROADS)}
         read = read_points(road)
         points, name, closed = read.points, Path(road).stem, None
     else:
@@ -150,13 +148,10 @@ def page_parts() -> PageParts:
     InvalidInput
         Where the kernels for WebAssembly are not there.
     """
-    from adaptrack.export.page_data import page_data
-    from adaptrack.export.page_kernels import page_kernels
-
     others = {each.name for each in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
     page = (*FIRST, *sorted(others), *LAST)
-    return PageParts(_text("page.html"), _text("page.css"), _together(page), _together(ENGINE), page_kernels(),
-                     page_data())  # fmt: skip
+    css = _text("viewer.css") + _text("page.css")
+    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), page_data())
 
 
 def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = None) -> Path:
