@@ -15,7 +15,7 @@ from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
 from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.core import path, road, rollout
+from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
@@ -32,7 +32,7 @@ from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.qp import problem as qp
 from adaptrack.core.schedule import no_schedule
-from adaptrack.core.synthesis import car, laws, plant
+from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
 from adaptrack.core.variables import NAMES
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
@@ -52,7 +52,7 @@ RECORDS = (
 CALLED = (
     "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
     "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
-    "start_pose", "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
+    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
     "drive_samples", "drive_start", "complete_samples", "limit_rows", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
 )  # fmt: skip

@@ -71,7 +71,7 @@ def _field(kind: Any, found: dict[str, Any]) -> tuple[str, Any, int]:
 
 def calls(names: Iterable[str]) -> dict[str, list[str]]:
     """What kernels take and return: "f", "i" a number, "r" a record, "1" to "4" an array of so many dimensions."""
-    return {name: _call(EXPORTED[name].signature) for name in names if name in EXPORTED}
+    return {name: _call(EXPORTED[name].signature) for name in names}
 
 
 def _call(signature: Any) -> list[str]:
