@@ -11,7 +11,8 @@
 //     draw()                 now, all of them
 //
 //   spec = {name, title, unit, digits, scale (factor to the unit), least (smallest span of the axis), log, around0,
-//           lines: [{column, label, step}],       of each car; a second car has its own colour and dashes
+//           lines: [{column, or, label, step, once}],   of each car, or of the first (once); a second car has its own
+//                                                 colour and dashes; or: the column where there is no such one
 //           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
 //           band: {column, sigma, k, ratio},      value +- k sigma, or times exp(+-k sigma) (ratio)
 //           truth: name,                          in history.truth
@@ -27,7 +28,7 @@ const DEGREES = 180 / Math.PI;
 const PLOTS = [
   {
     name: "path", title: "Path beside the road's centre", unit: "m", digits: 3, least: 0.5, asked: true,
-    lines: [{column: "offset", label: "driven"}, {column: "y_ref", label: "reference"}],
+    lines: [{column: "offset", label: "driven"}, {column: "y_ref", label: "reference", once: true}],
   },
   {name: "error", title: "Error", unit: "m", digits: 3, least: 0.1, around0: true, lines: [{column: "error", or: "offset", label: "error"}]},
   {
@@ -40,7 +41,7 @@ const PLOTS = [
   },
   {
     name: "speed", title: "Speed", unit: "m/s", digits: 2, least: 2,
-    lines: [{column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned"}],
+    lines: [{column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: true}],
   },
   {name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true, lines: [{column: "lateral_acceleration", label: "lateral"}]},
   ...[
@@ -154,8 +155,8 @@ function element(tag, attributes = {}, ...children) {
 function swatch(colour, dash, wide = 2.4) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
-  for (const [name, value] of Object.entries({width: 26, height: 8, "aria-hidden": true})) svg.setAttribute(name, value);
-  const drawn = {x1: 0, x2: 26, y1: 4, y2: 4, "stroke-width": wide, "stroke-dasharray": dash.join(" ")};
+  for (const [name, value] of Object.entries({width: 22, height: 8, "aria-hidden": true})) svg.setAttribute(name, value);
+  const drawn = {x1: 0, x2: 22, y1: 4, y2: 4, "stroke-width": wide, "stroke-dasharray": dash.join(" ")};
   for (const [name, value] of Object.entries(drawn)) line.setAttribute(name, value);
   line.style.stroke = colour;
   svg.append(line);
@@ -165,11 +166,11 @@ function swatch(colour, dash, wide = 2.4) {
 // What all kinds of plot have: a figure with title, legend and canvas.
 function makeFrame(spec, history) {
   const title = spec.unit ? `${spec.title} (${spec.unit})` : spec.title;
-  const legend = element("ul", {class: "values"});
+  const legend = element("ul", {class: "values"}), limit = element("span", {class: "limit"});
   const canvas = element("canvas");
-  const figure = element("figure", {class: "plot", "data-plot": spec.name}, element("figcaption", {}, element("b", {}, title), legend), canvas);
+  const figure = element("figure", {class: "plot", "data-plot": spec.name}, element("figcaption", {}, element("b", {}, title), limit, legend), canvas);
   const frame = {
-    figure, canvas, legend, pen: canvas.getContext("2d"), still: document.createElement("canvas"), width: 1, height: 1, dense: 1,
+    figure, canvas, legend, limit, pen: canvas.getContext("2d"), still: document.createElement("canvas"), width: 1, height: 1, dense: 1,
     resize() {
       frame.dense = window.devicePixelRatio || 1;
       frame.width = Math.max(canvas.clientWidth, 1);
@@ -204,7 +205,7 @@ function linesOf(spec, history) {
   const several = history.cars.length > 1, alone = spec.lines.length === 1;
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
-    if (!column) return [];
+    if (!column || line.once && k) return [];
     const label = several && alone ? car.name : line.label, name = several && !alone ? `${car.name}, ${line.label}` : label;
     return [{car, k, column, label, name, step: line.step, dash: dashOf(k, j)}];
   }));
@@ -245,7 +246,7 @@ function makeTimePlot(spec, history, clock, window_) {
   // The indices that are drawn of a line.
   function decimated(line) {
     const [from, to] = span(line.car), perSecond = inside()[0] / (plot.to - plot.from);
-    return decimate(line.car.columns.time, line.car.columns[line.column], from, to, perSecond, points);
+    return points.subarray(0, decimate(line.car.columns.time, line.car.columns[line.column], from, to, perSecond, points));
   }
 
   // Least and largest value in the window, of lines, band and truth.
@@ -381,7 +382,7 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function drawLine(pen, line) {
-    const {time} = line.car.columns, column = line.car.columns[line.column], count = decimated(line);
+    const {time} = line.car.columns, column = line.car.columns[line.column], drawn = decimated(line);
     const [wide, high] = inside(), perSecond = wide / (plot.to - plot.from);
     const x0 = MARGIN.left - plot.from * perSecond;
     let oldY = 0;
@@ -390,8 +391,8 @@ function makeTimePlot(spec, history, clock, window_) {
     pen.lineJoin = "round";
     pen.setLineDash(line.dash);
     pen.beginPath();
-    for (let n = 0, begun = false; n < count; n++) {
-      const i = points[n], x = x0 + time[i] * perSecond;
+    for (let n = 0, begun = false; n < drawn.length; n++) {
+      const i = drawn[n], x = x0 + time[i] * perSecond;
       const y = MARGIN.top + (1 - axis.share(column[i] * scale)) * high;
       if (!Number.isFinite(y)) {
         begun = false;
@@ -490,7 +491,8 @@ function makeTimePlot(spec, history, clock, window_) {
 
   // The values beside the labels.
   function tell() {
-    const t = clock.shown;
+    const t = clock.shown, limit = limits.find(each => each.value > 0);
+    write(frame.limit, limit ? ` ${limit.label} ±${inUnits(limit.value * scale)}` : "");
     lines.forEach((line, i) => write(values[i], textAt(line, t)));
     if (truthValue) truthValue.parentNode.hidden = !hasTruth();
     if (hasTruth()) write(truthValue, inUnits(truthAt(t)));
@@ -543,7 +545,6 @@ function makeMovesPlot(spec, history, clock) {
   const axis = makeAxis({least: 0.02, around0: true});
   const plot = {name: spec.name, frame, spec, figure, canvas, drawnAt: -1, describe, paintStill() {}, paint, tell, lines: [], resize: frame.resize};
   const values = history.cars.map((car, k) => frame.entry(frame.row(k), `var(--series-${k % 6})`, [], history.cars.length > 1 ? car.name : "next move", 7));
-  const limitValue = frame.entry(frame.row(-1), "var(--warn)", [10, 4], "limit", 1.4);
   canvas.setAttribute("role", "img");
 
   const movesOf = car => car.count ? car.moves?.(indexAt(car.columns.time, car.count, clock.shown)) ?? null : null;
@@ -624,7 +625,7 @@ function makeMovesPlot(spec, history, clock) {
       write(values[k], plan ? inUnits(plan.values[0]) : "–");
     });
     const limit = history.cars.map(movesOf).find(plan => plan && Number.isFinite(plan.most));
-    write(limitValue, limit ? `±${inUnits(limit.most)}` : "none");
+    write(frame.limit, limit ? ` limit ±${inUnits(limit.most)}` : "");
     canvas.setAttribute("aria-label", describe());
   }
 

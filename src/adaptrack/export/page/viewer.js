@@ -276,10 +276,12 @@ function makeRoadView(canvas, history, clock, options = {}) {
       pen.save();
       pen.beginPath();
       if (patch.x) trace(patch.x, patch.y, 0, patch.x.length - 1, 0, true); else tracePatch(patch);
-      pen.fillStyle = palette.ice;
+      pen.fillStyle = pen.strokeStyle = palette.ice;
+      pen.lineWidth = 6;
+      if (view.scale < 1.5) pen.stroke();  // of a road that is a few pixels wide
       pen.fill();
       pen.clip();
-      hatch(patch);
+      hatch();
       pen.restore();
     }
   }
@@ -651,15 +653,15 @@ function makeRoadView(canvas, history, clock, options = {}) {
     history.cars.forEach((car, k) => { if (k !== view.chosen) drawCar(car, k, places[k]); });
     if (followed) drawCar(history.cars[view.chosen], view.chosen, followed);
     for (const place of places) if (place.failed) drawCross(place);
-    if (clock.cursor !== null) drawLabel(`${signed(clock.cursor, 2)} s`, ...toScreen(...cursorPlace()));
+    if (clock.cursor !== null) drawCursorLabel();
     if (push) drawPush();
     if (sketch) drawSketch();
     drawBar();
   }
 
-  function cursorPlace() {
-    const {x, y} = placeAt(history.cars[view.chosen], clock.cursor, eventPlace);
-    return [x, y];
+  function drawCursorLabel() {
+    const {x, y} = placeAt(history.cars[view.chosen], clock.cursor, eventPlace), [px, py] = toScreen(x, y);
+    if (px > 0 && py > 0 && px < view.width && py < view.height) drawLabel(`${signed(clock.cursor, 2)} s`, px, py);
   }
 
   // -- pointers
