@@ -13,6 +13,7 @@ from typing import Any, Literal
 from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
+from adaptrack.base.files import Record
 from adaptrack.cars import data_sheet
 from adaptrack.cars.domain import MOST, Domain
 from adaptrack.cars.known_within import KnownWithin
@@ -21,7 +22,7 @@ from adaptrack.core import path
 from adaptrack.core.synthesis import car, plant
 from adaptrack.road.points import COLUMNS, DEGREES
 
-SECTIONS = {
+SECTIONS: dict[str, type[Record]] = {
     "": Vehicle,
     "steering": Steering,
     "body": Body,

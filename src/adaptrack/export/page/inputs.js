@@ -50,24 +50,23 @@ const inputs = (() => {
   const rounded = (x) => String(Number(x.toPrecision(3)));
 
   // -- names that are nearly right ------------------------------------------------------------------------------------
-  function distance(a, b) {
-    let row = Array.from({ length: b.length + 1 }, (_, j) => j);
-    for (let i = 1; i <= a.length; i++) {
-      const next = [i];
+  /** The share of letters that two names have in common, in their order. */
+  function likeness(a, b) {
+    let row = new Array(b.length + 1).fill(0);
+    for (const letter of a) {
+      const next = [0];
       for (let j = 1; j <= b.length; j++) {
-        const same = row[j - 1] + (a[i - 1] === b[j - 1] ? 0 : 1);
-        next.push(Math.min(same, row[j] + 1, next[j - 1] + 1));
+        next.push(letter === b[j - 1] ? row[j - 1] + 1 : Math.max(row[j], next[j - 1]));
       }
       row = next;
     }
-    return row[b.length];
+    return (2 * row[b.length]) / Math.max(a.length + b.length, 1);
   }
 
   function nearest(name, known) {
     const asked = name.slice(0, LONGEST_SHOWN).toLowerCase();
-    const far = (each) => distance(asked, each.toLowerCase()) / Math.max(asked.length, each.length, 1);
-    const found = known.map((each) => [far(each), each]).sort((a, b) => a[0] - b[0])[0];
-    return found && found[0] <= 0.4 ? found[1] : null;
+    const found = known.map((each) => [likeness(asked, each.toLowerCase()), each]).sort((a, b) => b[0] - a[0])[0];
+    return found && found[0] >= 0.6 ? found[1] : null;
   }
 
   function didYouMean(name, known) {
@@ -268,8 +267,9 @@ const inputs = (() => {
       if (reader.text[reader.at] === "]") break;
       found.push(readValue(reader, key, depth + 1));
       skipLines(reader);
-      if (reader.text[reader.at] === ",") reader.at++;
-      else if (reader.text[reader.at] !== "]") refuse(`${key}: a comma or "]" is missing in a list.`, reader.line, key);
+      const sign = reader.text[reader.at];
+      if (sign === ",") reader.at++;
+      else if (sign && sign !== "]") refuse(`${key}: a comma or "]" is missing in a list.`, reader.line, key);
     }
     reader.at++;
     return found;
@@ -346,7 +346,8 @@ const inputs = (() => {
     const fields = given.sections[name], found = {}, keys = fields.map((each) => each.key);
     for (const [key, { line }] of table) {
       if (keys.includes(key) || others.includes(key)) continue;
-      problems.push(problem(unknownKey(name, key, [...keys, ...others], given), line, key));
+      const silent = problems.length >= MOST_SHOWN; // seeking what was meant takes time, and nobody will read it
+      problems.push(problem(silent ? "unknown key." : unknownKey(name, key, [...keys, ...others], given), line, key));
     }
     for (const field of fields) {
       const node = table.get(field.key), place = name ? `${name}.${field.key}` : field.key;
