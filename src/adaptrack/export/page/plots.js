@@ -151,7 +151,6 @@ function tickText(value, step) {
 // ---- one plot
 
 const DASHES = [[[], [2, 3], [8, 3, 2, 3]], [[7, 4], [7, 3, 1, 3], [3, 3]]];  // of a car, of its lines
-const SVG = "http://www.w3.org/2000/svg";
 const MARGIN = {left: 46, right: 10, top: 8, bottom: 20};
 const points = new Int32Array(1 << 16);  // of the line that is being drawn
 
@@ -160,16 +159,18 @@ function dashOf(car, line) {
 }
 
 function element(tag, attributes = {}, ...children) {
-  const made = tag === "svg" || tag === "line" ? document.createElementNS(SVG, tag) : document.createElement(tag);
+  const made = document.createElement(tag);
   for (const name in attributes) made.setAttribute(name, attributes[name]);
   made.append(...children);
   return made;
 }
 
+// A piece of a line, for the legend.
 function swatch(colour, dash, wide = 2.4) {
-  const drawn = {x1: 0, x2: 22, y1: 4, y2: 4, "stroke-width": wide, "stroke-dasharray": dash.join(" ")};
-  const line = element("line", {...drawn, style: `stroke: ${colour}`});
-  return element("svg", {width: 22, height: 8, "aria-hidden": true}, line);
+  const stroke = `stroke="${colour}" stroke-width="${wide}" stroke-dasharray="${dash.join(" ")}"`;
+  const made = element("template");
+  made.innerHTML = `<svg width="22" height="8" aria-hidden="true"><line x2="22" y1="4" y2="4" ${stroke}/></svg>`;
+  return made.content.firstChild;
 }
 
 // What all kinds of plot have: a figure with title, legend and canvas.
