@@ -722,21 +722,23 @@ function listenTo(plot, clock, timeAt) {
 // ---- all plots
 
 const SPANS = [10, 20, 30, 60, 90, 120, 180, 300, 600, 900, 1200, 1800, 2700, 3600, 5400, 7200, 14400];
-const BUDGET = 5, TELL = 120;  // ms: of drawing lines anew in a frame; between two changes of words while it plays
-const SLOW = 20, REST = 150;  // ms: where frames take longer than SLOW, a plot's lines rest so long
+const STEPS = 300;  // of a window: what moves by less is not drawn anew while it plays
+const TELL = 120;  // ms between two changes of the words while it plays
+const AT_ONCE = 4, AT_ONCE_SLOW = 2, SLOW = 20;  // plots drawn anew in a frame; where frames take longer than SLOW ms
 
 function makePlots(box, history, clock, specs = null, options = {}) {
   const plots = {list: [], show, setSpan, choose, describe, draw, span: options.span ?? 20};
-  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, version = -1, seen = null, before = 0, pace = 0;
+  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, painted = NaN, seen = null, before = 0, pace = 0;
   box.classList.add("plots");
 
   // The window: of so many seconds about the clock, moved only when the clock comes to its edge.
   function windowNow() {
     const start = clock.start, end = Math.max(clock.end, start + 1e-3);
-    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each >= (end - start) * 1.001) : end];
-    const span = clock.live ? plots.span : Math.min(plots.span, end - start);
+    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each > end - start) : end];
+    const span = clock.live ? plots.span : Math.min(plots.span, end - start), step = span / STEPS;
     if (clock.t > from + 0.96 * span) from = clock.t - 0.96 * span;
     if (clock.t < from) from = clock.t - 0.04 * span;
+    from = start + Math.ceil((from - start) / step - 1e-6) * step;
     from = Math.max(start, clock.live ? from : Math.min(from, end - span));
     return [from, from + span];
   }
@@ -753,7 +755,6 @@ function makePlots(box, history, clock, specs = null, options = {}) {
 
   function setSpan(seconds) {
     plots.span = seconds;
-    version = -1;
     clock.ask();
   }
 
@@ -776,31 +777,27 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   });
 
   // What the lines depend on: as long as none of it changes they are not drawn again.
-  function state() {
-    const [left, right] = windowNow();
-    return [left, right, clock.end, palette.version, history.events.length, truths(), plots.span];
+  function state([left, right]) {
+    const step = clock.playing ? (right - left) / STEPS : 1e-9, known = Math.floor(Math.min(clock.end, right) / step);
+    const truths = Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
+    return [left, right, known, palette.version, history.events.length, truths];
   }
 
-  const truths = () => Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
-
   function paint(now) {
-    const next = state();
-    if (!seen || version !== palette.version || next.some((each, i) => each !== seen[i])) {
-      seen = next;
-      version = palette.version;
-      for (const plot of plots.list) plot.stale = true;
-    }
+    const ends = windowNow(), next = state(ends);
+    if (!seen || next.some((each, i) => each !== seen[i])) for (const plot of plots.list) plot.stale = true;
+    seen = next;
     pace += 0.1 * (Math.min(now - before, 100) - pace);
     before = now;
-    const rest = clock.playing && pace > SLOW ? REST : 0, begun = performance.now();
-    const waiting = plots.list.filter(plot => plot.stale && now - plot.drawnAt >= rest);
-    waiting.sort((a, b) => a.drawnAt - b.drawnAt);
-    for (const plot of waiting) {
-      if (performance.now() - begun > BUDGET) break;
+    const drawn = plots.list.filter(plot => plot.stale).sort((a, b) => a.drawnAt - b.drawnAt);
+    drawn.length = Math.min(drawn.length, clock.playing && pace > SLOW ? AT_ONCE_SLOW : AT_ONCE);
+    for (const plot of drawn) {
       plot.paintStill(now);
       plot.stale = false;
     }
-    for (const plot of plots.list) plot.paint();
+    const moved = !clock.playing || !(Math.abs(clock.t - painted) < 0.5 * (ends[1] - ends[0]) / STEPS);
+    if (moved) painted = clock.t;
+    for (const plot of moved ? plots.list : drawn) plot.paint();
     if (plots.list.some(plot => plot.stale)) clock.ask();
     if (clock.shown !== told && (!clock.playing || now - toldAt > TELL)) tell(now);
   }
@@ -825,7 +822,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
     return plots.list.map(plot => plot.describe()).join(" ");
   }
 
-  onPaletteChange(() => { version = -1; clock.ask(); });
+  onPaletteChange(clock.ask);
   build();
   clock.paint(paint);
   return plots;
