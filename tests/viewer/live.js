@@ -25,6 +25,21 @@ found.predicted = [a.predicted(50).count, b.predicted(50).count];
 const plan = a.moves(50);
 found.moves = [[...plan.values.slice(0, plan.count)], plan.least, plan.most];
 
+// it glides, or goes in steps
+const instants = async milliseconds => {
+  const seen = new Set(), end = clock.paint(() => seen.add(clock.t));
+  clock.seek(0);
+  clock.play();
+  await new Promise(done => setTimeout(done, milliseconds));
+  clock.pause();
+  end();
+  return seen.size - 1;
+};
+found.times = [await instants(700)];
+clock.reduced = true;
+found.times.push(await instants(1200));
+clock.reduced = false;
+
 // ice, a push, words
 clock.seek(6);
 view.draw();

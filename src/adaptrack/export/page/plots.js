@@ -557,11 +557,11 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function rangeText(line) {
-    const found = range(line), at = t => `${signed(t, 1)} s`;
+    const found = range(line);
     if (!found) return "";
-    if (found.low === found.high) return ` ${line.name} is ${inUnits(found.low)} throughout.`;
-    const least = `${inUnits(found.low)} at ${at(found.lowAt)}`, most = `${inUnits(found.high)} at ${at(found.highAt)}`;
-    return ` ${line.name} goes from ${least} to ${most}.`;
+    if (found.low === found.high) return ` ${line.name}: ${inUnits(found.low)} throughout.`;
+    const at = (value, t) => `${inUnits(value)} at ${signed(t, 1)} s`;
+    return ` ${line.name}: from ${at(found.low, found.lowAt)} to ${at(found.high, found.highAt)}.`;
   }
 
   function describe() {
@@ -692,19 +692,28 @@ function makeMovesPlot(spec, history, clock) {
 
 function listenTo(plot, clock, timeAt) {
   const {canvas} = plot, at = event => timeAt(event.clientX - canvas.getBoundingClientRect().left);
-  let dragging = false;
+  let begun = null, dragging = false;
+  const aside = event => Math.abs(event.clientX - begun.x) > Math.max(8, Math.abs(event.clientY - begun.y));
   canvas.addEventListener("pointermove", event => {
+    const touch = event.pointerType === "touch";
+    if (begun && touch && aside(event)) dragging = true;  // a finger that goes up or down scrolls the page
     if (dragging) clock.seek(at(event));
-    else if (event.pointerType !== "touch") clock.hover(at(event), "plot");
+    else if (!touch) clock.hover(at(event), "plot");
   });
   canvas.addEventListener("pointerdown", event => {
-    dragging = event.pointerType !== "touch" && event.button === 0;
-    if (dragging) canvas.setPointerCapture(event.pointerId);
-    if (dragging) clock.leave();
+    if (event.button !== 0) return;
+    begun = {x: event.clientX, y: event.clientY};
+    dragging = event.pointerType !== "touch";
+    canvas.setPointerCapture(event.pointerId);
+    clock.leave();
     if (dragging) clock.seek(at(event));
   });
-  canvas.addEventListener("pointerup", () => { dragging = false; });
-  canvas.addEventListener("pointercancel", () => { dragging = false; });
+  const end = () => {
+    begun = null;
+    dragging = false;
+  };
+  canvas.addEventListener("pointerup", end);
+  canvas.addEventListener("pointercancel", end);
   canvas.addEventListener("click", event => {
     clock.leave();
     clock.seek(at(event));
