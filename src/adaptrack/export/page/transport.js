@@ -8,7 +8,8 @@
 //     cursor              s under the pointer, or null; from: who set it ("road", "plot")
 //     shown               s, the cursor's time where there is one, else t
 //     reduced             steps of half a second instead of gliding (from prefers-reduced-motion)
-//     seek(t), play(), pause(), toggle(), step(n) (n control periods), setRate(rate), faster(n), hover(t, from), leave()
+//     seek(t), play(), pause(), toggle(), step(n) (n control periods), setRate(rate), faster(n),
+//     hover(t, from), leave()
 //     grow(end)           a live drive has come so far
 //     restart({start, end, period, limit})   another drive
 //     paint(f)            f(now, clock) is called before each picture; gives a function that ends it
