@@ -53,6 +53,9 @@ class Media(NamedTuple):
     """prefers-reduced-motion"""
 
 
+LIGHT = Media()
+
+
 def _end(process: subprocess.Popen[Any]) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -68,7 +71,7 @@ class Chromium:
     name = "chromium"
 
     def __init__(
-        self, size: tuple[int, int] = (1400, 900), media: Media = Media(), *, scale: float = 1.0, touch: bool = False,
+        self, size: tuple[int, int] = (1400, 900), media: Media = LIGHT, *, scale: float = 1.0, touch: bool = False,
         timeout: float = 60.0,
     ) -> None:  # fmt: skip
         self.timeout, self._events, self._number, self._rest = timeout, [], 0, b""
@@ -250,9 +253,7 @@ class Firefox:
 
     name = "firefox"
 
-    def __init__(
-        self, size: tuple[int, int] = (1400, 900), media: Media = Media(), *, timeout: float = 60.0
-    ) -> None:
+    def __init__(self, size: tuple[int, int] = (1400, 900), media: Media = LIGHT, *, timeout: float = 60.0) -> None:
         self.timeout, self._number, self._rest = timeout, 0, b""
         self._own = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         profile = Path(self._own.name)
@@ -371,7 +372,8 @@ class Firefox:
         self._call("Marionette:SetContext", {"value": "content"})
         self._log.flush()
         log = (Path(self._own.name) / "log").read_text(errors="replace").splitlines()
-        return [*told, *(line for line in log if line.startswith("console."))]
+        # the second is the browser's own
+        return [*told, *(line for line in log if line.startswith("console.") and "RSLoader" not in line)]
 
     def requests(self) -> list[str]:
         return self._script(

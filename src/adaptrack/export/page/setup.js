@@ -24,7 +24,7 @@ const CARS = {
   "midsize-sedan": "midsize sedan", "small-car": "small car", "compact-ev": "compact electric car", "sports-car": "sports car",
   van: "van", "model-car": "model car", paper: "car of the paper",
 };
-const ROADS = {mountain: "a mountain road", country: "a country road", town: "a town road", motorway: "a motorway", lap: "a closed lap"};
+const ROADS = {mountain: "a mountain road", country: "a country road", town: "a town road", motorway: "a motorway", lap: "a closed lap", oval: "an oval"};
 const TOP = {lateral: 3, constant: 15};
 
 const noTruth = () => ({lag: null, dead_time: null, bias: null, noise: null, friction: null, wind: null});
@@ -83,6 +83,12 @@ function showChoices() {
   const prescribed = Boolean(road.test);  // a test says its own speed
   field.disabled = byId("setup-speed-kind").disabled = prescribed;
   for (const id of ["sheet", "file-car", "file-road", "draw"]) byId(id).hidden = true;
+  if (!CSS.supports("field-sizing", "content")) document.querySelectorAll("#setup select").forEach(fit);
+}
+
+// A select as wide as what is chosen in it, where the browser does not do that itself.
+function fit(select) {
+  select.style.width = `${(select.selectedOptions[0]?.text.length ?? 6) + 3}ch`;
 }
 
 // A drive of another setup; what was refused leaves the old drive and says why.
