@@ -212,7 +212,7 @@ def after_control(slot, command, change, span, run):
     own, found = run.memory.own[slot], run.result[slot]
     actuate(slot, command, run)
     if run.features.traces:
-        _note(slot, run)
+        note(slot, run, run.trace.noted[slot, own.instant])
     found.squared_move += change * change
     if span.segment > 0:
         run.segments[slot, own.instant // span.segment] += span.weight * change * change
@@ -223,10 +223,9 @@ def after_control(slot, command, change, span, run):
 
 
 @inlined
-def _note(slot, run):
-    """Trace what is measured under the new input, and where the car is."""
+def note(slot, run, row):
+    """Write NOTED: what is measured under the new input, and where the car is."""
     own = run.memory.own[slot]
-    row = run.trace.noted[slot, own.instant]
     observe(slot, run.vehicles, row)
     row[NOTED.station], row[NOTED.offset], row[NOTED.heading_error] = own.station, own.offset, own.heading_error
 

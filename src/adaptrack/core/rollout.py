@@ -189,27 +189,47 @@ def begin(slots, run):
     run.law.memory[:, :] = 0.0
 
 
-@exported(void(Span, Place(Run)))
-def rollout(span, run):
-    """Whole runs, from what `begin` left.
+@inlined
+def control_all(span, run):
+    """The present instant of all slots that are under way; how many drive on from it."""
+    running = 0
+    for i in range(span.slots):
+        own = run.memory.own[i]
+        k = own.instant
+        if own.ended != RUNNING or k >= span.periods:
+            continue
+        _drive_slot(k, i, span, run)
+        if own.ended == RUNNING:
+            running += 1
+        else:
+            _end_slot(k, i, span, run)
+    return running
+
+
+@inlined
+def close_all(span, run):
+    """Close the runs that have come to their end."""
+    for i in range(span.slots):
+        if run.memory.own[i].ended == RUNNING and run.memory.own[i].instant >= span.periods:
+            close(i, run)
+
+
+@exported(int64(int64, Span, Place(Run)))
+def roll_on(count, span, run):
+    """Up to so many further periods of runs, from where `begin` or the last call left each; how many were driven.
 
     A run ends early when it has failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can
     only grow. The cost of each segment is written to `segments`: inf for the one in which a run ends, NaN after.
     """
-    for k in range(span.periods):
-        running = 0
-        for i in range(span.slots):
-            own = run.memory.own[i]
-            if own.ended != RUNNING:
-                continue
-            _drive_slot(k, i, span, run)
-            if own.ended == RUNNING:
-                running += 1
-            else:
-                _end_slot(k, i, span, run)
-        if running == 0:
-            break
+    driven = 0
+    while driven < count and control_all(span, run) > 0:
         move(span.slots, run)
-    for i in range(span.slots):
-        if run.memory.own[i].ended == RUNNING:
-            close(i, run)
+        driven += 1
+    close_all(span, run)
+    return driven
+
+
+@exported(void(Span, Place(Run)))
+def rollout(span, run):
+    """Whole runs, from what `begin` left; see `roll_on`."""
+    roll_on(span.periods, span, run)

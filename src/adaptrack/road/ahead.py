@@ -110,6 +110,15 @@ class RoadAhead:
         kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), found)
         return found
 
+    def points(self, offsets: Array, speed: float, delay: float, period: float) -> Array:
+        """(n, 2) m, where a car will be at so many offsets (n,) m from the road: 1, 2, ... periods after the delay.
+
+        Other arguments as for `bend`.
+        """
+        found = np.zeros(2 * len(offsets))
+        kernel.points_ahead(self.station, self.speeds, speed, delay, period, self.road.packed(), offsets, found)
+        return found.reshape(-1, 2)
+
 
 @cache
 def straight() -> Any:

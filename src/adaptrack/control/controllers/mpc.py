@@ -39,7 +39,7 @@ from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import Step, form_qp, step
-from adaptrack.core.controllers.receding import apply_move
+from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF, BELIEFS, memory_of
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
@@ -522,17 +522,9 @@ class MPC(Controller):
 
         On a curved road y counts from the tangent at the car's foot.
         """
-        mpc, own = self._mpc, self._mpc.memory[0]
-        count = int(own.Np)
-        free = mpc.ws.reference[:count] - mpc.ws.error[:count]
-        steps = np.arange(count)
-        moves = np.zeros(count)
-        if self.moves.kind == "laguerre":
-            moves = mpc.plan[0, : self.moves.terms] @ mpc.ws.moves[: self.moves.terms, :count]
-        else:
-            moves[: own.planned] = mpc.plan[0, : own.planned]
-        response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        return np.asarray((steps + 1.0) * self.period + self._delay * self.period), np.asarray(free + response)
+        y = np.zeros(int(self._mpc.memory[0].Np))
+        predict_outputs(0, self._resident, y)
+        return (np.arange(y.size) + 1.0) * self.period + self._delay * self.period, y
 
     def predicted_path(self, ahead: RoadAhead) -> Array:
         """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time."""
@@ -540,12 +532,7 @@ class MPC(Controller):
         delay = time[0] / self.period - 1.0
         forward = max(float(self._mpc.memory[0].speed), self.speed_floor)
         offset = lateral - ahead.bend(time.size + 1, forward, delay, self.period)[1:]
-        speeds = ahead.speeds
-        way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
-        last = self.period * speeds.size
-        gone = np.interp(time, self.period * np.arange(way.size), way) + speeds[-1] * np.maximum(time - last, 0.0)
-        foot = ahead.road.at(ahead.station + gone)
-        return np.stack([foot.x - offset * np.sin(foot.heading), foot.y + offset * np.cos(foot.heading)], axis=-1)
+        return ahead.points(offset, forward, delay, self.period)
 
     def step(
         self,

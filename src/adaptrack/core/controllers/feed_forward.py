@@ -126,11 +126,16 @@ def road_moves(horizon, speed, settings, bend, feed):
         expected[i] = moves[i] - (expected[i + 1] - expected[i])
 
 
+@inlined
+def expect_move(i, move, horizon, step, error):
+    """Take what a move (rad) at the i-th instant does to the outputs out of R_s - Y."""
+    if move != 0.0:
+        for j in range(i, horizon):
+            error[j] -= step[j - i] * move
+
+
 @exported(void(int64, vector, vector, vector))
 def expect_moves(horizon, step, moves, error):
     """Take what moves (rad) do to the outputs out of R_s - Y; step: (horizon,) response to a unit move."""
     for i in range(horizon):
-        move = moves[i]
-        if move != 0.0:
-            for j in range(i, horizon):
-                error[j] -= step[j - i] * move
+        expect_move(i, moves[i], horizon, step, error)

@@ -1,0 +1,171 @@
+"""What draws a drive in the browser, replayed and while it is driven: it shows and tells the numbers it is given."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import browser
+from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.results.drive import write_drive_page
+from adaptrack.results.replay import SCRIPTS, STYLE
+from browser import Served
+from made_drives import bend, made_drive
+from test_replay import COLLECT, NOTHING_ELSE, ask_page
+
+pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+
+PAGES = Path(__file__).parent / "viewer"
+"""What the browser is given."""
+
+
+def predicted_of(drive, ahead=1.0, points=8):
+    """Paths that foretell where the car will be, up to so many seconds ahead."""
+    paths = PredictedPaths(points=points)
+    paths._time = list(drive.time[::5][:-4])
+    later = np.add.outer(np.array(paths._time), np.linspace(ahead / points, ahead, points))
+    paths._points = list(np.stack([np.interp(later, drive.time, v) for v in (drive.x, drive.y)], axis=-1))
+    return paths
+
+
+@pytest.fixture(scope="module")
+def drives():
+    road = bend()
+    first = made_drive(road, controller="informed", amplitude=0.5)
+    return [
+        made_drive(road, controller="informed", amplitude=0.5, predicted=predicted_of(first)),
+        made_drive(road, controller="stanley", amplitude=1.0, planned_speed=np.full(len(first), 11.0)),
+    ]
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory, drives):
+    page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", drives, png=False)
+    return ask_page(
+        page,
+        (PAGES / "replay.js").read_text(),
+    )
+
+
+def test_a_value_goes_to_a_pixel_and_back(seen):
+    assert seen["plots"] == ["error", "steering", "speed"]
+    assert np.abs(seen["round"]).max() < 1e-9
+
+
+def test_a_thinned_line_keeps_its_extremes(seen):
+    for line in seen["thinned"]:
+        assert [line["low"], line["high"]] == line["all"][1:]
+        assert line["drawn"] <= line["all"][0]
+        assert line["grows"]
+
+
+def test_one_cursor_goes_through_all_plots_and_the_road(seen, drives):
+    cursor, drive = seen["cursor"], drives[0]
+    assert cursor["t"] == 4.0
+    assert cursor["shown"] == pytest.approx(9.13, abs=0.02)
+    assert cursor["now"] == pytest.approx([cursor["shown"]] * 3, abs=0.006)
+    assert cursor["place"]["x"] == pytest.approx(np.interp(cursor["shown"], drive.time, drive.x), abs=5e-3)
+    assert cursor["words"] == f"{cursor['shown']:.2f} s"
+    told = [[float(text.replace("−", "-").split()[0].rstrip("°")) for text in plot] for plot in cursor["texts"]]
+    at = cursor["shown"]
+    assert told[0] == pytest.approx([np.interp(at, each.time, each.offset) for each in drives], abs=2e-3)
+    assert told[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.time, drive.steering))] * 2, abs=0.02)
+    assert told[2] == pytest.approx([10.0, 10.0], abs=0.02)
+    assert seen["left"]["shown"] == 4.0
+    assert seen["left"]["x"] == pytest.approx(np.interp(4.0, drive.time, drive.x), abs=5e-3)
+    assert seen["onRoad"] == pytest.approx(6.0, abs=0.11)
+
+
+def test_a_click_and_enter_go_where_the_cursor_is(seen, drives):
+    assert seen["clicked"] == pytest.approx(9.13, abs=0.02)
+    by_key = seen["byKey"]
+    assert by_key["t"] == seen["clicked"]
+    assert by_key["shown"] == pytest.approx(float(drives[0].time[-1]) - 1.0, abs=0.06)
+    assert by_key["told"].startswith(f"{by_key['shown']:.2f} s: Informed −0")
+    assert seen["entered"] == by_key["shown"]
+
+
+def test_what_is_shown_is_told_in_words(seen, drives):
+    road, error = seen["said"]
+    e = float(np.interp(5.0, drives[0].time, drives[0].offset))
+    assert f"Informed is {abs(e):.2f} m to the {'left' if e > 0 else 'right'} of its line" in road
+    assert "at 10.0 m/s" in road
+    low, high = (pick(drives[0].offset) for pick in (np.min, np.max))
+    assert f"Error at 5.00 s: Informed {e:.3f} m".replace("-", "−") in error
+    assert f"goes from −{-low:.3f} m" in error
+    assert f"to {high:.3f} m" in error
+    assert road in seen["aloud"]
+    assert error in seen["aloud"]
+
+
+def test_the_predicted_path_lies_where_it_was_predicted(seen, drives):
+    paths = drives[0].predicted
+    k = int(np.argmin(np.abs(paths.time - 5.0)))
+    found = np.column_stack([seen["predicted"][name] for name in "xy"])
+    assert found == pytest.approx(paths.points[k], abs=0.02)
+    assert seen["none"] is None
+    assert seen["late"] is None
+
+
+# -- a drive that grows -----------------------------------------------------------------------------------------------
+
+
+def ask_live(script):
+    sources = files("adaptrack.export").joinpath("page")
+    scripts = "\n".join(sources.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
+    html = (PAGES / "live.html").read_text().replace("/* STYLE */", sources.joinpath(STYLE).read_text(encoding="utf-8"))
+    collect = COLLECT.replace("replay = window.adaptrackReplay", "{live} = window").replace(
+        'const canvas = document.querySelector("#replay-view canvas");', "const {canvas} = live;"
+    )
+    page = html.replace("/* SCRIPTS */", scripts) + collect % script
+    found, said = browser.ask({"/": Served(page, NOTHING_ELSE)})
+    assert found["failures"] == []
+    assert said == []
+    return found
+
+
+@pytest.fixture(scope="module")
+def live():
+    return ask_live((PAGES / "live.js").read_text())
+
+
+def test_a_live_clock_waits_for_frames_and_goes_on(live):
+    assert live["gap"] is False
+    assert live["waits"] == [pytest.approx(5.9), True]
+    assert live["count"] == 6060
+    assert live["last"] == pytest.approx(605.9)
+
+
+def test_predicted_paths_are_kept_whole_at_last_and_now_and_then_before(live):
+    assert live["recent"] == pytest.approx(0.0, abs=1e-3)
+    assert live["old"] == pytest.approx([-5.0, 0.0], abs=1e-3)  # the path of five periods before, and its own
+    assert live["predicted"] == [4, 2]
+    assert live["moves"] == [pytest.approx([0.01, -0.02]), -0.02, 0.02]
+
+
+def test_a_belief_is_told_with_its_interval_and_the_truth(live):
+    assert {"error", "steering", "moves", "speed", "lag", "horizons"} <= set(live["plots"])
+    assert "a 0.200 ± 0.100 s, b 0.200 ± 0.100 s, true 0.300 s" in live["told"]
+    assert "a plans 2 moves, the next 0.57°, the largest 1.15° of at most ±1.15°" in live["movesTold"]
+
+
+def test_ice_lies_on_the_road_where_it_was_laid(live):
+    assert live["ice"][2] > live["tar"][2]
+    assert live["ice"][:3] != live["tar"][:3]
+
+
+def test_a_car_that_is_dragged_tells_how_far_in_its_own_axes(live):
+    ((_, vector),) = live["pushed"]
+    assert [vector["x"], vector["y"]] == pytest.approx([20.0 / live["scale"], 30.0 / live["scale"]])
+    assert live["follows"]
+
+
+def test_a_road_is_drawn_by_hand_and_by_keyboard(live):
+    stroke, keyed, given_up = live["drawn"]
+    assert stroke[0][-1] == pytest.approx(live["expected"])
+    assert len(stroke[0]) == 21
+    assert not stroke[1]
+    assert np.diff(keyed[0], axis=0).tolist() == [[5.0, 0.0], [0.0, 5.0]]
+    assert keyed[1]
+    assert given_up == [None, False]
