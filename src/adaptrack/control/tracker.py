@@ -337,16 +337,7 @@ class Tracker:
         memory = self._kernel.memory[0]
         if not isinstance(self.controller, MPC) or not memory.started:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        time, lateral = self.controller.predicted_output()
-        delay = time[0] / self.period - 1.0
-        forward = max(float(memory.speed), self.controller.speed_floor)
-        offset = lateral - self._ahead.bend(time.size + 1, forward, delay, self.period)[1:]
-        speeds = self._ahead.speeds
-        way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
-        last = self.period * speeds.size
-        gone = np.interp(time, self.period * np.arange(way.size), way) + speeds[-1] * np.maximum(time - last, 0.0)
-        foot = self._ahead.road.at(self._ahead.station + gone)
-        return np.stack([foot.x - offset * np.sin(foot.heading), foot.y + offset * np.cos(foot.heading)], axis=-1)
+        return self.controller.predicted_path(self._ahead)
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:

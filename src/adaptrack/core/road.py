@@ -43,6 +43,7 @@ DEGREE = 11
 HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
 ACROSS = ALONG + DEGREE + 1
 TURNED = ACROSS + DEGREE + 1
+COLUMNS = TURNED + DEGREE + 1
 """Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
 1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
 LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
@@ -377,6 +378,19 @@ def heading_at(s, road, roads):
 
 
 @inlined
+def step_ahead(j, delay, period):
+    """s, the j-th step ahead: first the share of a period in `delay` (periods), then whole periods."""
+    return period if j > 0 else (delay - whole(delay)) * period
+
+
+@inlined
+def planned_speed(time, speeds, speed, period):
+    """The speed (m/s) planned for some time (s) from now, shifted so that the first is `speed`; the last one holds."""
+    at = min(max(whole(time / period), 0), speeds.size - 1)
+    return max(speeds[at] + (speed - speeds[NOW]), 0.0)
+
+
+@inlined
 def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
     """Write how far (m) the road ahead lies to the left of its tangent here: after `delay` periods T, then every T.
 
@@ -387,15 +401,12 @@ def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
     holding, all shifted so that the first is `speed`: v (m/s) of the model.
     """
     here = heading_at(station, road, roads)
-    last = speeds.size - 1
-    excess = speed - speeds[NOW]
     first = whole(delay)
     y = before = time = 0.0
     s = station
     for j in range(first + bend.size):
-        step = period if j > 0 else (delay - first) * period
-        at = min(max(whole(time / period), 0), last)
-        s += max(speeds[at] + excess, 0.0) * step
+        step = step_ahead(j, delay, period)
+        s += planned_speed(time, speeds, speed, period) * step
         time += step
         after = heading_at(s, road, roads) - here
         y += 0.5 * speed * step * (before + after)
@@ -408,3 +419,23 @@ def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
 def bend_of(station, speeds, speed, delay, period, road, roads, bend):
     """`bend_ahead`, for Python."""
     bend_ahead(station, speeds, speed, delay, period, road, roads, bend)
+
+
+@exported(void(float64, vector, float64, float64, float64, Centreline, vector, vector))
+def points_ahead(station, speeds, speed, delay, period, line, offsets, points):
+    """Write x, y (m) of a car at so many offsets (n,) from a road: 1, 2, ... periods after `delay` periods.
+
+    It passes the road as in `bend_ahead`; a road without pieces is the x axis. points: x and y in turn (>= 2n,); the
+    offsets may lie in its last n numbers.
+    """
+    first, s, time = whole(delay), station, 0.0
+    for j in range(first + 1 + offsets.size):
+        step = step_ahead(j, delay, period)
+        s += planned_speed(time, speeds, speed, period) * step
+        time += step
+        if j > first:
+            i, x, y, heading = j - first - 1, s, 0.0, 0.0
+            if len(line.pieces) > 0:
+                x, y, heading, _ = point_at(s, line)
+            offset = offsets[i]
+            points[2 * i], points[2 * i + 1] = x - offset * sin(heading), y + offset * cos(heading)

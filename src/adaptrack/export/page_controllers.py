@@ -23,7 +23,7 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
    ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of SETTINGS are
    copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the chassis
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
-3. ``start_pose(x, y, heading, offset, turned)`` at the road's start, then the speed there: the first four of the 12
+3. ``drive_start(line, offset, turned, pose)`` of `core.planning.drive`, then the speed there: the first four of the 12
    entries of ``start``; the others are zero.
 
 When the truth changes while it drives, 1 and 2 are called again with a changed actuator.

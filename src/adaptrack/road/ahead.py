@@ -40,7 +40,7 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
         places += [each.shape[0] for each in own]
         for found, each in zip(parts, own, strict=True):
             found.append(each)
-    none = np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0)
+    none = np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0)
     joined = (
         found[0] if len(found) == 1 else np.concatenate([empty, *found])
         for empty, found in zip(none, parts, strict=True)
@@ -110,9 +110,18 @@ class RoadAhead:
         kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), found)
         return found
 
+    def points(self, offsets: Array, speed: float, delay: float, period: float) -> Array:
+        """(n, 2) m, where a car will be at so many offsets (n,) m from the road: 1, 2, ... periods after the delay.
+
+        Other arguments as for `bend`.
+        """
+        found = np.zeros(2 * len(offsets))
+        kernel.points_ahead(self.station, self.speeds, speed, delay, period, self.road.packed(), offsets, found)
+        return found.reshape(-1, 2)
+
 
 @cache
 def straight() -> Any:
     """`core.road.RoadAhead` of a straight road."""
-    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0))
+    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0))
     return kernel.RoadAhead(line, 0.0, np.zeros(0))

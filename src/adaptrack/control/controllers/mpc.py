@@ -39,7 +39,7 @@ from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import Step, form_qp, step
-from adaptrack.core.controllers.receding import apply_move
+from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF, BELIEFS, memory_of
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
@@ -371,7 +371,7 @@ class MPC(Controller):
         """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""
         model, estimator = self.model, self.estimator
         return kernel.batch(
-            slots, settings, (model.parameters(), model.measured_places(), model.output, self._turning()),
+            slots, settings, (model.parameters(), model.measured_places(), self._turning()),
             (estimator.parameters(model), estimator.memory_size(model)), curved,
             None if self.learner is None else (self.learner.parameters(), self.learner.fresh()),
         )  # fmt: skip
@@ -522,17 +522,17 @@ class MPC(Controller):
 
         On a curved road y counts from the tangent at the car's foot.
         """
-        mpc, own = self._mpc, self._mpc.memory[0]
-        count = int(own.Np)
-        free = mpc.ws.reference[:count] - mpc.ws.error[:count]
-        steps = np.arange(count)
-        moves = np.zeros(count)
-        if self.moves.kind == "laguerre":
-            moves = mpc.plan[0, : self.moves.terms] @ mpc.ws.moves[: self.moves.terms, :count]
-        else:
-            moves[: own.planned] = mpc.plan[0, : own.planned]
-        response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        return np.asarray((steps + 1.0) * self.period + self._delay * self.period), np.asarray(free + response)
+        y = np.zeros(int(self._mpc.memory[0].Np))
+        predict_outputs(0, self._resident, y)
+        return (np.arange(y.size) + 1.0) * self.period + self._delay * self.period, y
+
+    def predicted_path(self, ahead: RoadAhead) -> Array:
+        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time."""
+        time, lateral = self.predicted_output()
+        delay = time[0] / self.period - 1.0
+        forward = max(float(self._mpc.memory[0].speed), self.speed_floor)
+        offset = lateral - ahead.bend(time.size + 1, forward, delay, self.period)[1:]
+        return ahead.points(offset, forward, delay, self.period)
 
     def step(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, int64, several, void
+from ..kernel import exported, inlined, int64, several, vector, void
 from ..maths import vectors
 from ..maths.bits import whole
 from ..maths.exact import clip
@@ -13,6 +13,7 @@ from ..qp.active_set import active_set
 from ..qp.hildreth import hildreth
 from ..qp.residual import kkt_residual
 from .constraints import ROWS, sample_at
+from .feed_forward import expect_move
 from .mpc import (
     ACTIVE_SET,
     ANSWER,
@@ -84,6 +85,34 @@ def _planned_move(slot, mpc):
     if own.planned == 0 or own.age >= last:
         return 0.0
     return _move_of(settings, own.age, mpc.plan[slot], mpc.ws.moves)
+
+
+@inlined
+def _planned(slot, mpc):
+    """How many moves the last plan has."""
+    own = mpc.memory[slot]
+    return whole(own.Np) if mpc.settings.laguerre > 0 and own.planned > 0 else own.planned
+
+
+@exported(void(int64, MPC, vector))
+def predict_outputs(slot, mpc, y):
+    """Write the outputs (Np,) m that the last step has predicted with its plan: 1, 2, ... periods after the dead time.
+
+    To be called before another slot makes a step.
+    """
+    horizon, ws = y.size, mpc.ws
+    for j in range(horizon):
+        y[j] = ws.reference[j] - ws.error[j]
+    for i in range(min(_planned(slot, mpc), horizon)):
+        expect_move(i, -_move_of(mpc.settings, i, mpc.plan[slot], ws.moves), horizon, ws.step[slot], y)
+
+
+@inlined
+def plan_moves(slot, mpc, moves):
+    """Write the moves (rad) of the last plan with those that the road asks for, see `predict_outputs`."""
+    for i in range(moves.size):
+        of_road = mpc.feed.moves[i] if mpc.settings.feeds_forward > 0 else 0.0
+        moves[i] = _move_of(mpc.settings, i, mpc.plan[slot], mpc.ws.moves) + of_road
 
 
 @inlined

@@ -2,7 +2,6 @@
 
     chassis, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
     delay, dead time           -> dead_periods: `core.loop.SETTINGS.dead_whole` and `dead_share`
-    place on a road, offset    -> start_pose
     body, chassis              -> outline_of
 
 Axes of ISO 8855; stiffness and load are those of one tyre.
@@ -15,7 +14,6 @@ import math
 from ..kernel import Row, exported, float64, inlined, int64, packer, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
-from ..maths.trigonometric import cos, sin
 from ..plants.parameters import CHASSIS
 from ..plants.tyre import tyre_law
 from .car import static_loads
@@ -141,12 +139,6 @@ def dead_periods(delay, dead_time, period):
     delay: control periods of computation; dead_time: s, of the steering.
     """
     return in_periods(delay * period + dead_time, period)
-
-
-@exported(several(float64, float64, float64)(float64, float64, float64, float64, float64))
-def start_pose(x, y, heading, offset, turned):
-    """x, y (m) and yaw (rad) of a car beside a place of a road, by an offset (m, to the left), turned by an angle."""
-    return x - offset * sin(heading), y + offset * cos(heading), heading + turned
 
 
 # -- outline ----------------------------------------------------------------------------------------------------------

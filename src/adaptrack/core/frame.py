@@ -1,0 +1,132 @@
+"""What of a drive is shown: a row of numbers a control period, the path that the MPC predicts, the moves that it plans.
+
+A program that shows a drive lets it go on by `drive_and_show`, a few periods at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .controllers import mpc
+from .controllers.receding import plan_moves, predict_outputs
+from .kernel import Place, columns, exported, inlined, int64, matrix
+from .loop import SIGNAL
+from .maths.bits import whole
+from .maths.trigonometric import cos, sin
+from .period import NOTED, Span, move, note
+from .plants.contract import INPUT, STATE, input_at, state_at
+from .road import line_of, points_ahead
+from .rollout import COMMON, Run, close_all, control_all
+
+_DRIVEN = STATE._fields[: STATE.yaw_rate + 1]
+FRAME = columns(
+    *NOTED._fields,
+    *_DRIVEN,
+    "time",  # s
+    "command",  # rad
+    "error",  # m, of the offset against its reference
+    "y_ref",  # m
+    "v_ref",  # m/s
+    "speed",  # m/s, as measured
+    "friction",  # under the car, mean of its wheels
+    "wind",  # m/s, across the car, positive to the left
+    "guard",  # steps in which the guard of a schedule has limited its tuning, made it give way or replaced it, so far
+)
+"""Of an instant, its command known, the car not yet moved: `period.NOTED` and the first entries of `plants.STATE`, then
+these. Behind them is the controller's answer but for its command, and of control laws the tuning."""
+
+
+def frame_names(answer: Any, tuning: Any) -> tuple[str, ...]:
+    """The names of a frame's columns; of the controller's answer, and of its tuning where that is not part of it."""
+    return (*FRAME._fields, *answer[1:], *(name for name in tuning if name not in answer))
+
+
+@inlined
+def _guarded(slot, run):
+    """How often the guard has stepped in."""
+    if not run.features.variables:
+        return 0
+    own = run.schedule.memory[slot]
+    return own.rate_limited + own.unstable + own.fallback
+
+
+@inlined
+def _write_numbers(k, slot, run, answer, row):
+    """A frame; k: the instant."""
+    own, block, signals = run.memory.own[slot], run.vehicles.block, run.given.signals
+    scenario, sample = run.given.scenario[slot], own.sample - 1
+    note(slot, run, row[: len(NOTED)])
+    for j in range(STATE.yaw_rate + 1):
+        row[FRAME.x + j] = block[state_at(j, slot)]
+    row[FRAME.time], row[FRAME.command], row[FRAME.error] = k * run.settings.period, answer[COMMON.command], own.error
+    row[FRAME.y_ref] = signals[scenario, SIGNAL.y_ref, sample]
+    row[FRAME.v_ref] = signals[scenario, SIGNAL.speed, sample]
+    row[FRAME.speed] = own.speed
+    front = block[input_at(INPUT.friction_front_left, slot)] + block[input_at(INPUT.friction_front_right, slot)]
+    rear = block[input_at(INPUT.friction_rear_left, slot)] + block[input_at(INPUT.friction_rear_right, slot)]
+    row[FRAME.friction] = 0.25 * (front + rear)
+    wind_x, wind_y = block[input_at(INPUT.wind_x, slot)], block[input_at(INPUT.wind_y, slot)]
+    yaw = row[FRAME.yaw]
+    row[FRAME.wind] = wind_y * cos(yaw) - wind_x * sin(yaw)
+    row[FRAME.guard] = _guarded(slot, run)
+    behind, said = row[len(FRAME) :], answer.size - 1
+    for j in range(said):
+        behind[j] = answer[1 + j]
+    for j in range(behind.size - said):
+        behind[said + j] = run.tuning[slot, j]
+
+
+@inlined
+def _write_path(k, slot, run, points):
+    """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
+    own, given, model = run.memory.own[slot], run.given, run.mpc
+    scenario = given.scenario[slot]
+    horizon, most = whole(model.answer[slot, mpc.ANSWER.Np]), points.size // 2
+    offsets = points[most : most + horizon]
+    predict_outputs(slot, model, offsets)
+    road = given.roads.of[scenario]
+    if road >= 0 and model.settings.curved > 0:
+        for j in range(horizon):
+            offsets[j] -= model.bend[j + 1]
+    station = own.station if road >= 0 else run.vehicles.block[state_at(STATE.x, slot)]
+    speed = max(own.speed, model.settings.speed_floor)
+    points_ahead(
+        station, given.signals[scenario, SIGNAL.speed, k:], speed, mpc.delay_of(slot, model), model.settings.period,
+        line_of(road, given.roads), offsets, points,
+    )  # fmt: skip
+    for j in range(2 * horizon, points.size):
+        points[j] = math.nan
+
+
+@inlined
+def _write_plan(k, slot, run, points, moves):
+    """What an MPC has planned; NaN where there is no plan of this instant."""
+    if run.features.law or run.mpc.answer[slot, mpc.ANSWER.held] > 0.5:
+        points[:], moves[:] = math.nan, math.nan
+        return
+    count = whole(run.mpc.answer[slot, mpc.ANSWER.Nc])
+    _write_path(k, slot, run, points)
+    plan_moves(slot, run.mpc, moves[:count])
+    moves[count:] = math.nan
+
+
+@exported(int64(int64, Span, Place(Run), matrix, matrix, matrix))
+def drive_and_show(count, span, run, numbers, predicted, moves):
+    """`rollout.roll_on` of a run of one slot, with a row for each period driven: how many.
+
+    numbers: (count, .) FRAME, then the answer, see `frame_names`. predicted: (count, 2 longest horizon) x and y (m) in
+    turn of where the car will be 1, 2, ..., Np periods after the dead time. moves: (count, most moves) rad, changes of
+    the command that are planned, those for the road included. Both are NaN behind the horizons, of control laws, and
+    where a step found no solution. No row is written of the instant at which a run fails.
+    """
+    driven = 0
+    while driven < count and control_all(span, run) > 0:
+        k = run.memory.own[0].instant - 1
+        answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
+        _write_numbers(k, 0, run, answer, numbers[driven])
+        _write_plan(k, 0, run, predicted[driven], moves[driven])
+        move(span.slots, run)
+        driven += 1
+    close_all(span, run)
+    return driven

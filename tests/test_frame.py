@@ -1,0 +1,143 @@
+"""What a page shows of a drive is the drive: frames are its trace, the predicted path lies where the car will be."""
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.core import frame, rollout
+from adaptrack.core.controllers.mpc import ANSWER
+from adaptrack.core.frame import FRAME
+from adaptrack.core.kernel import Resident
+from adaptrack.core.loop import OFF_ROAD, RUNNING
+from adaptrack.core.period import NOTED, Span
+from adaptrack.core.plants.contract import STATE
+from adaptrack.drive.batch import Batch
+from adaptrack.road import Arc, Line, Road
+from adaptrack.scenario import RoadDrive
+
+CAR = at.load_vehicle("paper")
+CIRCLE = Road.from_segments([Arc(length=2.0 * np.pi * 60.0, curvature=1 / 60.0)], name="circle")
+
+
+def run_of(controller, scenario, profile="road", traced=False, scheduler=None, **others):
+    """A run of one slot before its first instant, and what it drives."""
+    batch = Batch(at.DualTrack(CAR), controller, [scenario], profile, **others)
+    n = int(batch.periods[0])
+    run = batch.arena(
+        1, int(batch.substeps[0]), batch.mpc_settings(np.inf, np.inf, residuals=True), 0, n if traced else 0,
+        batch.scheduler,
+    )  # fmt: skip
+    run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = 3, batch.starts[0], batch.tuning
+    rollout.begin(1, Resident(run))
+    return run, Span(n, 1, 0, 0.0)
+
+
+def shown(run, span, pieces):
+    """The frames of a drive that is driven in pieces of so many periods."""
+    settings = run.mpc.settings
+    answer = run.law.answer if run.features.law else run.mpc.answer
+    width = len(FRAME) + answer.shape[1] - 1 + (run.tuning.shape[1] if run.features.law else 0)
+    most = int(settings.longest_horizon), int(settings.most_moves)
+    parts = []
+    for count in pieces:
+        room = [np.full((count, n), np.nan) for n in (width, 2 * most[0], most[1])]
+        driven = frame.drive_and_show(count, span, run, *room)
+        parts.append([each[:driven] for each in room])
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+
+def pieces_of(n):
+    yield from (1, 1, 7, 40)
+    yield from [64] * (n // 64 + 1)
+
+
+CONTROLLERS = {
+    "informed": lambda: at.MPC(CAR, profile="road"),
+    "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
+    "published, scheduled": lambda: at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn")),
+    "Stanley": lambda: at.Stanley(CAR),
+}
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
+    scenario = at.load_scenario("double-lane-change")
+    run, span = run_of(CONTROLLERS[name](), scenario)
+    numbers, _, _ = shown(run, span, pieces_of(span.periods))
+    whole, _ = run_of(CONTROLLERS[name](), scenario, traced=True)
+    rollout.rollout(span, Resident(whole))
+    trace = whole.trace
+    assert len(numbers) == span.periods
+    for column, expected in (("x", trace.state[0, :, STATE.x]), ("yaw_rate", trace.state[0, :, STATE.yaw_rate])):
+        assert np.array_equal(numbers[:, getattr(FRAME, column)], expected)
+    assert np.array_equal(numbers[:, : len(NOTED)], trace.noted[0])
+    assert np.array_equal(numbers[:, FRAME.command], trace.answer[0, :, ANSWER.command])
+    assert np.array_equal(numbers[:, len(FRAME) :], trace.answer[0, :, 1:], equal_nan=True)
+    assert run.result.tobytes() == whole.result.tobytes()
+    counts = whole.schedule.memory
+    stepped_in = sum(int(counts[each][0]) for each in ("rate_limited", "unstable", "fallback")) if counts.size else 0
+    assert numbers[-1, FRAME.guard] == stepped_in
+
+
+def test_the_frames_are_those_of_simulate():
+    scenario = at.load_scenario("double-lane-change")
+    found = at.simulate(at.DualTrack(CAR), at.MPC(CAR, profile="road"), scenario, profile="road", seed=3)
+    numbers, _, _ = shown(*run_of(at.MPC(CAR, profile="road"), scenario), pieces_of(found.t.size))
+    for column, expected in (
+        ("x", found.X), ("y", found.Y), ("vy", found.vy), ("wheel_angle", found.steering),
+        ("command", found.command), ("lateral_acceleration", found.lateral_acceleration), ("y_ref", found.y_ref),
+        ("v_ref", found.v_ref), ("friction", found.friction.mean(axis=1)),
+    ):  # fmt: skip
+        assert np.array_equal(numbers[:, getattr(FRAME, column)], expected), column
+    assert np.allclose(numbers[:, FRAME.time], found.t, rtol=0.0, atol=1e-12)
+    assert np.allclose(numbers[:, FRAME.error], found.Y - found.y_ref, rtol=0.0, atol=1e-15)
+
+
+def test_a_run_that_fails_ends_and_says_why():
+    run, span = run_of(at.MPC(CAR, profile="road"), at.load_scenario("double-lane-change"), profile="paper")
+    shown(run, span, [20])
+    run.vehicles.block[STATE.y * 32] += 30.0
+    numbers, _, _ = shown(run, span, [5, 5])
+    assert len(numbers) == 0
+    assert int(run.memory.own[0].ended) == OFF_ROAD != RUNNING
+    assert run.memory.own[0].ended_at == pytest.approx(20 * run.settings.period)
+
+
+def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
+    straight = Road.from_segments([Line(length=400.0)], name="straight")
+    run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(straight, speed=15.0), "paper")
+    run.vehicles.start[0, STATE.y] = 0.4
+    rollout.begin(1, Resident(run))
+    numbers, predicted, moves = shown(run, span, [120])
+    horizon, delay = int(numbers[0, len(FRAME) + ANSWER.Np - 1]), run.mpc.settings.delay
+    at_instant = 30
+    points = predicted[at_instant].reshape(-1, 2)
+    expected_x = numbers[at_instant, FRAME.x] + 15.0 * run.settings.period * (np.arange(horizon) + 1.0 + delay)
+    assert np.allclose(points[:horizon, 0], expected_x, rtol=0.0, atol=0.05)
+    assert np.isnan(points[horizon:]).all()
+    driven = np.interp(points[:horizon, 0], numbers[:, FRAME.x], numbers[:, FRAME.y])
+    assert np.abs(points[:horizon, 1] - driven).max() < 0.05
+    count = int(numbers[0, len(FRAME) + ANSWER.Nc - 1])
+    assert np.allclose(moves[:, 0], numbers[:, len(FRAME)], rtol=0.0, atol=1e-12)
+    settings = run.mpc.settings
+    assert (moves[:, 1:count] <= settings.move_max + 1e-9).all()
+    assert (moves[:, 1:count] >= settings.move_min - 1e-9).all()
+    assert np.isnan(moves[:, count:]).all()
+
+
+def test_on_a_circle_the_predicted_path_is_the_circle():
+    run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(CIRCLE, speed=10.0), "paper")
+    numbers, predicted, _ = shown(run, span, [200])
+    points = predicted[-1].reshape(-1, 2)
+    points = points[np.isfinite(points[:, 0])]
+    radius = np.hypot(points[:, 0], points[:, 1] - 60.0)
+    assert len(points) == int(numbers[-1, len(FRAME) + ANSWER.Np - 1])
+    assert np.abs(radius - 60.0).max() < 0.05
+    along = np.hypot(*np.diff(points, axis=0).T)
+    assert np.allclose(along, 10.0 * run.settings.period, rtol=0.01)
+
+
+def test_control_laws_predict_nothing():
+    _, predicted, moves = shown(*run_of(at.Stanley(CAR), at.load_scenario("double-lane-change")), [30])
+    assert np.isnan(predicted).all()
+    assert np.isnan(moves).all()
