@@ -151,8 +151,9 @@ class Chromium:
     def open(self, url: str) -> None:
         """Go to an address and wait until it is loaded."""
         self._events.clear()
-        self._call("Page.navigate", url=url)
-        self.wait("document.readyState === 'complete' && location.href !== 'about:blank'")
+        self.run("window.left = true")
+        if "loaderId" in self._call("Page.navigate", url=url):  # another document
+            self.wait("document.readyState === 'complete' && !window.left")
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page, waited for."""

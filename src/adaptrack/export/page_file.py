@@ -11,18 +11,27 @@ import gzip
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.errors import StorageError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
+from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
+from adaptrack.export.page_data import KINDS, page_data
+from adaptrack.export.page_kernels import page_kernels
+from adaptrack.export.page_setup import ROADS
+from adaptrack.road.points import read_points
+from adaptrack.scenario.profile import list_profiles
 
 SOURCES = Path(__file__).parent / "page"
-ENGINE = ("memory.js", "inputs.js", "engine.js")
+ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
-FIRST, LAST = ("start.js", "viewer.js", "plots.js"), ("app.js",)
+FIRST, LAST = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
 LARGEST = 3_000_000
 """bytes of a page"""
@@ -44,6 +53,93 @@ class PageParts:
     """what Python writes into the page"""
 
 
+MOST_CONTROLLERS = 2
+
+
+def export_page(
+    file: str | os.PathLike[str],
+    *,
+    vehicle: str | os.PathLike[str] | Vehicle = "midsize-sedan",
+    road: str | os.PathLike[str] | ArrayLike = "mountain",
+    speed: float | None = None,
+    lateral_acceleration: float | None = None,
+    profile: str = "road",
+    controllers: Sequence[str] = ("informed",),
+    seed: int = 0,
+) -> Path:
+    """Write the page on which one drives: one HTML file, at most 3 MB, that needs neither Python nor a network.
+
+    The kernels of this package run in it, with the same bits as here. Everything that is given here can be changed on
+    the page, which begins with it.
+
+    Parameters
+    ----------
+    file : path
+        The page; it is overwritten.
+    vehicle : str or Vehicle
+        The car: a name, a file, or itself.
+    road : str or (N, 2) array
+        A kind of `generate_road`, a .csv file of points, or points (m).
+    speed : float, optional
+        m/s, kept along the road; by default a speed is planned.
+    lateral_acceleration : float, optional
+        m/s^2, of the planned speed; by default 3.
+    profile : str
+        Of the simulated world: "paper", "road", "production".
+    controllers : names
+        One, or two side by side: "informed", "learning", "published", "published-nn", "published-anfis",
+        "informed-nn", "informed-anfis", "pure-pursuit", "stanley", "lqr".
+    seed : int
+        Of the sensors' noise.
+
+    Raises
+    ------
+    InvalidInput
+        When one of these is not what the page can drive, or the kernels for WebAssembly are not there.
+    StorageError
+        When a file cannot be read or written.
+    """
+    if speed is not None and lateral_acceleration is not None:
+        raise InvalidInput("export_page: give either speed or lateral_acceleration.")
+    if not 1 <= len(controllers) <= MOST_CONTROLLERS:
+        raise InvalidInput(f"export_page: {len(controllers)} controllers; the page drives one or two.")
+    setup = {
+        "car": _car(vehicle),
+        "road": _road(road),
+        "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
+        "profile": _known("profile", profile, list_profiles()),
+        "seed": seed,
+        "controllers": [{"kind": _known("controller", each, KINDS)} for each in controllers],
+    }
+    return write_page(file, setup)
+
+
+def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
+    if isinstance(vehicle, str) and vehicle in list_vehicles():
+        return {"name": vehicle}
+    known = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+    return {"file": known.model_dump(mode="json", exclude_none=True)}
+
+
+def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
+    if isinstance(road, str | os.PathLike):
+        if os.path.splitext(road)[1].lower() not in (".csv", ".txt"):
+            return {"name": _known("road", os.fspath(road), ROADS)}
+        read = read_points(road)
+        points, name, closed = read.points, Path(road).stem, None
+    else:
+        points, name, closed = np.asarray(road, dtype=float), "points", False
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InvalidInput(f"export_page: road has the shape {points.shape}; needs (N, 2): x and y of each point (m).")
+    return {"points": points.tolist(), "closed": bool(closed), "name": name}
+
+
+def _known(what: str, name: str, names: Iterable[str]) -> str:
+    if name not in names:
+        raise UnknownName(f"export_page: the page has no {what} {name!r}. {did_you_mean(name, names)}")
+    return name
+
+
 def page_parts() -> PageParts:
     """The parts of the page, before they are packed.
 
@@ -52,13 +148,10 @@ def page_parts() -> PageParts:
     InvalidInput
         Where the kernels for WebAssembly are not there.
     """
-    from adaptrack.export.page_data import page_data
-    from adaptrack.export.page_kernels import page_kernels
-
     others = {each.name for each in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
     page = (*FIRST, *sorted(others), *LAST)
-    return PageParts(_text("page.html"), _text("page.css"), _together(page), _together(ENGINE), page_kernels(),
-                     page_data())  # fmt: skip
+    css = _text("viewer.css") + _text("page.css")
+    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), page_data())
 
 
 def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = None) -> Path:
