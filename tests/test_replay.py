@@ -20,7 +20,7 @@ const failures = [], found = {}, replay = window.adaptrackReplay;
 addEventListener("error", event => failures.push(String(event.message)));
 addEventListener("unhandledrejection", event => failures.push(String(event.reason)));
 const canvas = document.querySelector("#replay-view canvas");
-const part = name => document.querySelector(`#replay-view [data-replay="${name}"]`);
+const part = name => document.querySelector(`#replay-view :is([data-replay="${name}"], [data-part="${name}"])`);
 const press = key => canvas.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
 const until = async true_now => { while (!true_now()) await new Promise(resolve => setTimeout(resolve, 20)); };
 function colourAt([x, y]) {

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.control.controllers import Controller
     from adaptrack.control.models import PredictionModel
+    from adaptrack.drive.predicted import PredictedPaths
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.road.holdable import HoldableSpeed
     from adaptrack.scenario import RoadDrive
@@ -84,6 +85,7 @@ def drive(given: DriveOptions) -> None:
     spins or is not finite is printed as FAILED; the exit code is then 3.
     """
     from adaptrack.base.files import safe_names
+    from adaptrack.drive.predicted import PredictedPaths
     from adaptrack.drive.simulate import simulate
     from adaptrack.drive.world import Driver
     from adaptrack.results.road import limits_in_words
@@ -110,10 +112,12 @@ def drive(given: DriveOptions) -> None:
     with show.progress("drive", len(controllers)) as advance:
         for file, (label, each) in zip(files, controllers, strict=True):
             step = partial(advance, label)
+            paths = None if how.out is None else PredictedPaths()
             run = simulate(
-                plant, each, route, profile=world, driver=Driver() if how.driver else None, seed=how.seed, progress=step
-            )
-            runs.append(_Run(label, route, car, run, each.model))
+                plant, each, route, profile=world, driver=Driver() if how.driver else None, seed=how.seed,
+                predicted=paths, progress=step,
+            )  # fmt: skip
+            runs.append(_Run(label, route, car, run, each.model, paths))
             if how.out is not None:
                 _keep(run, how.out / f"{file}.parquet")
     rows = [run.row for run in runs]
@@ -209,6 +213,8 @@ class _Run:
     run: Trajectory
     model: PredictionModel | None
     """of the controller, if it has one"""
+    predicted: PredictedPaths | None
+    """for the page, if there is to be one"""
 
     @property
     def found_in(self) -> str:
@@ -271,6 +277,8 @@ def _write_page(out: Path, runs: Sequence[_Run], png: bool) -> Path:
             row = each.row
             measures = [Measure(name, row[name], units[name]) for name in SHOWN if row.get(name) is not None]
             failed = find_failure(each.run)
-            record = DriveRecord.from_trajectory(each.run, each.route.road, each.car, failed=failed, metrics=measures)
+            record = DriveRecord.from_trajectory(
+                each.run, each.route.road, each.car, failed=failed, metrics=measures, predicted=each.predicted
+            )
             records.append(dataclasses.replace(record, controller=record.controller + each.found_in))
         return write_drive_page(out, records, command=options.command_line(), png=png)

@@ -337,11 +337,7 @@ class Tracker:
         memory = self._kernel.memory[0]
         if not isinstance(self.controller, MPC) or not memory.started:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        time, lateral = self.controller.predicted_output()
-        delay = time[0] / self.period - 1.0
-        forward = max(float(memory.speed), self.controller.speed_floor)
-        offset = lateral - self._ahead.bend(time.size + 1, forward, delay, self.period)[1:]
-        return self._ahead.points(offset, forward, delay, self.period)
+        return self.controller.predicted_path(self._ahead)
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:

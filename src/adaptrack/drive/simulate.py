@@ -28,6 +28,7 @@ from adaptrack.core.plants.contract import STATE
 from adaptrack.drive.batch import Batch, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
+from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.drive.world import Driver, KnownAs, World
 from adaptrack.scenario import RoadDrive, Scenario, Signals
@@ -82,6 +83,7 @@ def simulate(
     seed: Annotated[Natural, Field(lt=2**63)] = 0,
     known_as: KnownAs = None,
     failure: Failure | None = None,
+    predicted: PredictedPaths | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """Drive a scenario, or along a road, with a controller.
@@ -90,7 +92,7 @@ def simulate(
     profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
     noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default as the
     driven car's domain says (`Failure.of`): it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why
-    and when; progress: called now and then with (periods done, periods in all).
+    and when; predicted: where to keep the paths that an MPC predicts along a road; progress: called now and then with (periods done, periods in all).
 
     Raises
     ------
@@ -119,6 +121,8 @@ def simulate(
         answer = controller.step(measured, now.speed, now.reference, now.variables, **ahead)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, loop.command)
+        if predicted is not None and record.command[k, 2] < 0.5:
+            predicted.take(k * world.period, controller, ahead.get("road"))
         if not loop.send(command):
             break
         loop.advance()

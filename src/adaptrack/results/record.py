@@ -16,6 +16,7 @@ from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import Failed
 from adaptrack.drive.metrics import belief_shares, last_belief_state
+from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import foot_near
@@ -130,6 +131,8 @@ class DriveRecord:
     metrics: Sequence[Measure] = ()
     learned: Mapping[str, Learnt] = field(default_factory=dict)
     """what the controller has learned of its car, by name; empty for one that does not learn"""
+    predicted: PredictedPaths | None = None
+    """the paths that the controller predicted; None where none were kept"""
     belief: Mapping[str, float | str] = field(default_factory=dict)
     """how far that can be trusted: shares of time and the last state, as `Metrics` has them; empty likewise"""
 
@@ -163,6 +166,7 @@ class DriveRecord:
         plan: SpeedPlan | None = None,
         failed: Failed | None = None,
         metrics: Sequence[Measure] = (),
+        predicted: PredictedPaths | None = None,
     ) -> Self:
         """A recorded run beside its road, cut at the first instant that is not finite.
 
@@ -177,6 +181,8 @@ class DriveRecord:
             The planned speed; the run's speed reference when left out.
         failed : Failed, optional
             As `find_failure` tells it; what the run itself says when left out.
+        predicted : PredictedPaths, optional
+            What `simulate` was given to keep the predicted paths in: the replay draws them.
 
         Raises
         ------
@@ -199,7 +205,7 @@ class DriveRecord:
             **{name: values[:end] for name, values in signals.items()},
             road=road, shape=car if isinstance(car, DrawnCar) else DrawnCar.of(car),
             controller=run.name_of("controller"), car=run.name_of("vehicle"), profile=run.name_of("profile"),
-            failed=failure[0], failed_at=failure[1], metrics=metrics,
+            failed=failure[0], failed_at=failure[1], metrics=metrics, predicted=predicted or None,
         )  # fmt: skip
 
     def __len__(self) -> int:

@@ -1,7 +1,7 @@
 """The replay of drives: their data, packed for a page, and the part of the page that plays them.
 
 A column is rounded to a unit, its first differences are stored in the fewest bytes that hold them, and the bytes stand
-in the page as base64: about 1.5 MB for an hour's drive at 20 Hz.
+in the page as base64. What draws them is shared with the page on which one drives (`adaptrack/export/page`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
+from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.results.draw import shades
 from adaptrack.results.drive_figures import Drives, outline_stations, road_span, scale_of
 from adaptrack.results.record import Array, DriveRecord
@@ -27,11 +28,19 @@ PERIOD = 0.05
 
 UNITS = {
     "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
+    "command": 1e-4, "planned_speed": 1e-2,
 }  # fmt: skip
 """The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
 
+AHEAD = 1e-2
+"""m, to which predicted points are rounded."""
+
 SHADES = 9
 """Colours of the trail."""
+
+SCRIPTS = ("history.js", "transport.js", "viewer.js", "plots.js")
+STYLE = "viewer.css"
+"""Of `adaptrack/export/page`: what draws a drive, there and here."""
 
 
 def replay(drives: Drives) -> Markup:
@@ -48,18 +57,17 @@ def replay(drives: Drives) -> Markup:
     )  # fmt: skip
     template = environment.get_template("replay.html.j2")
     data = replay_data(drives)
-    seconds = max(float(drive.time[-1] - drive.time[0]) for drive in drives.values())
     # JSON inside an element: "<" could end it, an escape cannot
     packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    script = files("adaptrack.results").joinpath("templates", "replay.js").read_text(encoding="utf-8")
     return Markup(
         template.render(
             data=Markup(packed),
-            script=Markup(script),
+            script=Markup("\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])),
+            style=Markup(_shared(STYLE)),
             names=[car["name"] for car in data["cars"]],
             shades=data["shades"],
             top=f"{data['top']:g}",
-            end=seconds,
+            predicted=any(car["predicted"] for car in data["cars"]),
             road=printable(data["road"]["name"]),
         )
     )
@@ -72,6 +80,7 @@ def replay_data(drives: Drives) -> dict[str, Any]:
         "road": _road(shown[0].road, road_span(shown)),
         "top": scale_of(shown),
         "shades": shades(SHADES),
+        "period": round(float(np.median(np.diff(shown[0].time[sampled(shown[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
 
@@ -99,6 +108,14 @@ def sampled(drive: DriveRecord) -> np.ndarray:
     return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
 
 
+def _text(room: str, *path: str) -> str:
+    return files(room).joinpath(*path).read_text(encoding="utf-8")
+
+
+def _shared(name: str) -> str:
+    return _text("adaptrack.export", "page", name)
+
+
 def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
     s = outline_stations(road, *ends)
     left, right = road.edges(s)
@@ -111,7 +128,7 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 
 def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep = sampled(drive)
-    columns = {name: getattr(drive, name)[keep] for name in UNITS}
+    columns = {name: getattr(drive, name)[keep] for name in UNITS if getattr(drive, name) is not None}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
     shape = drive.shape
     return {
@@ -122,4 +139,22 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
         "columns": {name: packed(values, UNITS[name]) for name, values in columns.items()},
+        "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
     }  # fmt: skip
+
+
+def _predicted(paths: PredictedPaths, drive: DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
+    """Predicted paths in the car's axes, from the last sample at or before each: their numbers change slowly then."""
+    whole = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
+    at, rows = np.unique(
+        np.searchsorted(drive.time[keep], paths.time[whole] + 1e-9, side="right") - 1, return_index=True
+    )  # fmt: skip
+    if not at.size or at[0] < 0:
+        return None
+    now = keep[at]
+    gap = paths.points[whole][rows] - np.stack([drive.x[now], drive.y[now]], axis=-1)[:, None]
+    c, s = np.cos(drive.yaw[now])[:, None], np.sin(drive.yaw[now])[:, None]
+    ahead, left = c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
+    points = [{"ahead": packed(a, AHEAD), "left": packed(b, AHEAD)} for a, b in zip(ahead.T, left.T, strict=True)]
+    every = int(np.median(np.diff(at))) if at.size > 1 else 1
+    return {"at": packed(at, 1), "every": every, "points": points}

@@ -526,6 +526,14 @@ class MPC(Controller):
         predict_outputs(0, self._resident, y)
         return (np.arange(y.size) + 1.0) * self.period + self._delay * self.period, y
 
+    def predicted_path(self, ahead: RoadAhead) -> Array:
+        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time."""
+        time, lateral = self.predicted_output()
+        delay = time[0] / self.period - 1.0
+        forward = max(float(self._mpc.memory[0].speed), self.speed_floor)
+        offset = lateral - ahead.bend(time.size + 1, forward, delay, self.period)[1:]
+        return ahead.points(offset, forward, delay, self.period)
+
     def step(
         self,
         state: ArrayLike,
