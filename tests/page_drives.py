@@ -6,15 +6,11 @@ are, and the SHA-256 of these columns one behind the other, as little-endian flo
 
 import functools
 import hashlib
-import json
-import shutil
-import subprocess
 
 import numpy as np
 
 import adaptrack as at
-from adaptrack.core import library
-from adaptrack.export.page_setup import page_road, simulate_setup
+from adaptrack.export.page_setup import simulate_setup
 
 COLUMNS = {
     "x": "X", "y": "Y", "yaw": "psi", "vx": "vx", "vy": "vy", "yaw_rate": "yaw_rate", "wheel_angle": "steering",
@@ -47,7 +43,9 @@ PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SH
 
 
 def _setup(car, road, speed, profile, *controllers, seed=1, **truth):
-    made = [{"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers]
+    made = [
+        {"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers
+    ]
     nothing = dict.fromkeys(("lag", "dead_time", "bias", "noise", "friction", "wind"))
     return {"car": car, "road": road, "speed": speed, "profile": profile, "truth": nothing | truth, "seed": seed,
             "controllers": made}  # fmt: skip

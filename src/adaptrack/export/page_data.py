@@ -21,19 +21,18 @@ from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import size_of
-from adaptrack.core.loop import SENSED, SIGNAL
+from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models import single_track
 from adaptrack.core.models import path as path_model
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.period import Span
-from adaptrack.core.plants.contract import BLOCK, INPUT, SLOTS, STATE, STATES
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
 from adaptrack.core.planning import along, drive, speed
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
-from adaptrack.core.variables import NAMES
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, tyre_numbers
 from adaptrack.export.page_layout import calls, image, layouts, packed
@@ -45,15 +44,22 @@ from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.Run, rollout.Counts, Span, road.Centreline, Order, Parts, Constants, car.Car, car.KnownWithin, car.Steering, laws.Common,
-    plant.Chassis, plant.Tyre, plant.Actuator, plant.Body, plant.Outline, along.Along, speed.Planning, drive.RoadDrive,
+    rollout.Run, rollout.Counts, Span, road.Centreline, along.Along, speed.Planning, drive.RoadDrive, Order, Parts,
+    Constants, laws.Common, car.Car, car.KnownWithin, car.Steering, plant.Chassis, plant.Tyre, plant.Actuator,
+    plant.Body, plant.Outline,
 )  # fmt: skip
+"""What the engine lays into memory."""
 CALLED = (
-    "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
-    "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
-    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
-    "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
-    "drive_samples", "drive_start", "complete_samples", "run_sizes", "mpc_prepare", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
+    # a car, and a road with its speed and samples
+    "complete_car", "car_flaw", "static_loads", "overhangs", "outline_of", "path_words", "path_through", "path_parts",
+    "heading_count", "headings_along", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant",
+    "drive_periods", "drive_samples", "drive_start", "complete_samples",
+    # a world, and a controller
+    "plant_parameters", "plant_substeps", "plant_law", "dead_periods", "usual_filter", "informed_parts",
+    "informed_sizes", "informed_constants", "published_constants", "steering_delay", "pure_pursuit_parameters",
+    "stanley_parameters", "lqr_parameters",
+    # a drive
+    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
 )  # fmt: skip
 """What the engine calls; what it links besides are members."""
 MEMBERS = (
@@ -108,13 +114,13 @@ def _plain(value: Any) -> Any:
 
 def _sizes() -> dict[str, int]:
     return {
-        "parameters": len(PLANT_PARAMETERS), "road_numbers": len(road.NUMBERS), "piece": path.COLUMNS, "block": BLOCK,
-        "slots": SLOTS, "states": STATES, "own_states": len(STATE) - 1, "signals": len(SIGNAL),
-        "measured": len(MEASURED), "sensed": SENSED, "variables": len(NAMES), "situation": 6,
+        "parameters": len(PLANT_PARAMETERS), "own_states": len(STATE) - 1, "measured": len(MEASURED),
+        "road_numbers": len(road.NUMBERS), "piece": path.COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
-        "published_states": len(single_track.STATE), "turning": size_of(Turning), "estimator": size_of(kalman.Numbers),
-        "learner": size_of(learning.Numbers), "answer": len(mpc.ANSWER), "beliefs": len(learning.BELIEFS),
-        "plan": len(PLAN), "turning_lag": Turning._fields.index("lag"), "most_Np": min(150, int(PREDICTION_HORIZON.most)), "most_Nc": min(40, int(CONTROL_HORIZON.most)),
+        "published_states": len(single_track.STATE), "turning": size_of(Turning),
+        "turning_lag": Turning._fields.index("lag"), "estimator": size_of(kalman.Numbers),
+        "learner": size_of(learning.Numbers), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
+        "most_Nc": min(40, int(CONTROL_HORIZON.most)),
     }  # fmt: skip
 
 
@@ -153,8 +159,10 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
     law = kind in ("pure-pursuit", "stanley", "lqr")
     known = load_profile(profile)
     if base == "published" and not math.isfinite(known.noise_vy):
-        return {"refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
-                           "takes its state as it is measured: choose a controller that knows its car."}  # fmt: skip
+        return {
+            "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
+            "takes its state as it is measured: choose a controller that knows its car."
+        }
     made = controller_of({"kind": kind}, load_vehicle("paper"), known)
     numbers = controller_numbers(kind if law else base, profile)
     schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
