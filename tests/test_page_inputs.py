@@ -381,7 +381,7 @@ NO_ROADS = [
     ("1\n2\n3\n4\n", "one column; x and y are needed"), ("a,b\n" + SQUARE, 'line 1: one column must be "x" or "x_m"'),
     ("x,x_m,y\n1,1,1\n", "line 1: one column must be"), ("lat,lon\n48.1,11.5\n", "line 1: column \"lat\": latitude"),
     ("x [km],y [km]\n" + SQUARE, 'column "x [km]": metres are needed, not "km"; convert them (times 1000)'),
-    ("".join(f"{11.5 + k * 1e-4!r},{48.1 + k * 1e-5!r}\n" for k in range(9)), "look like degrees"),
+    ("".join(f"{11.5 + k * 1e-4!r},{48.1 + k * 1e-5!r}\n" for k in range(9)), "as degrees of longitude and latitude do"),
     ("x" * 20_000, "line 1: a line of more than 10,000 characters"),
     ("".join(f"{k},0\n" for k in range(20_002)), "line 20001: more than 20000 points"),
     ("0,0\n" * 50, "1 points; a road needs"),
