@@ -33,7 +33,7 @@ class Refusal extends Error {
 async function makeEngine(died) {
   const {engine: worker, data} = await begin();
   const waiting = [];  // in the order in which they were asked
-  let drives = 0, reads = 0, over = false;
+  let drives = 0, texts = 0, over = false;
 
   function die(why) {
     if (over) return;
@@ -73,7 +73,7 @@ async function makeEngine(died) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
       if (message.type === "start") forget();
       if (message.type === "start") drives++;
-      const id = message.type === "read" ? `read ${++reads}` : drives;
+      const id = message.type === "read" || message.type === "write" ? `text ${++texts}` : drives;
       return new Promise((take, fail) => {
         const watch = setTimeout(() => die("the simulation gave no answer"), 1000 * seconds);
         waiting.push({id, answer: ANSWER[message.type], take, fail, watch});
@@ -287,7 +287,7 @@ function makeScore() {
   const parts = cars.map((car, i) => {
     const part = document.createElement("div");
     part.id = `score-${i}`;
-    part.innerHTML = `<span class="who"><i class="${i ? "second" : ""}" style="background: var(--series-${i})"></i><span></span></span>
+    part.innerHTML = `<span class="who"><i style="background: var(--series-${i})">${cars.length > 1 ? i + 1 : ""}</i><span></span></span>
 <strong class="number" id="error-${i}" data-score="error"></strong><span class="rest" id="rest-${i}" data-score="rest"></span>`;
     part.querySelector(".who > span").textContent = nameOfCar(i);
     box.append(part);
@@ -349,7 +349,7 @@ function remedy(setup, controller, i) {
 
 // ---- pictures
 
-const PLOT_SETS = {few: ["error", "steering"], all: null, paper: ["path", "error", "steering"]};
+const PLOT_SETS = {few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], paper: ["path", "error", "steering"], all: null};
 let plotSet = "few";
 
 function showPictures() {
@@ -370,7 +370,7 @@ function showPictures() {
 
 function choosePlots(name) {
   plotSet = name;
-  byId("plot-choice").value = name === "all" ? "all" : "few";
+  byId("plot-choice").value = name;
   page.plots?.choose(PLOT_SETS[name]);
 }
 

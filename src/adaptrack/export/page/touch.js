@@ -35,14 +35,15 @@ let chosenCar = 0;  // whose belief and tuning the sliders set
 
 // ---- what is so now
 
-const FROM_PROFILE = {noise: 1, friction: 1, wind: 0};
-const STEERINGS = {road: {lag: 0.15, dead_time: 0}, production: {lag: 0.2, dead_time: 0.05}, paper: {lag: 0, dead_time: 0}};
-const steeringOf = profile => page.data.profiles?.[profile]?.steering ?? STEERINGS[profile] ?? {};
+const USUAL = {noise: 1, friction: 1, wind: 0};
+const OF_TESTS = new Set(["friction", "wind"]);  // a test of the paper says them, and they change
+const steeringOf = profile => page.data.profiles[profile]?.actuator ?? {};
 
 function trueValue(name) {
-  const {truth, profile} = page.setup, given = truth?.[name];
+  const {truth, profile, road} = page.setup, given = truth?.[name];
   if (given !== null && given !== undefined) return given;
-  return FROM_PROFILE[name] ?? steeringOf(profile)[name] ?? (name === "bias" ? 0 : null);
+  if (road.test && OF_TESTS.has(name)) return null;
+  return USUAL[name] ?? steeringOf(profile)[name] ?? null;
 }
 
 function believedValue(name, i) {
@@ -52,10 +53,8 @@ function believedValue(name, i) {
 }
 
 function tuningValue(name, i) {
-  const controller = page.setup.controllers[i], car = page.drive?.history.cars[i];
-  const set = controller?.tuning?.[name];
-  if (set !== null && set !== undefined) return set;
-  return car?.count ? car.columns[name]?.[0] ?? null : null;
+  const {controllers, profile} = page.setup, {kind, tuning} = controllers[i] ?? {};
+  return tuning?.[name] ?? page.data.controllers[kind]?.[profile]?.usual?.[name] ?? null;
 }
 
 function valueOf(slider) {
@@ -66,13 +65,12 @@ function valueOf(slider) {
 
 // Why a slider has nothing to set, "" where it has.
 function unused({kind, name}) {
-  const {controllers, profile, road} = page.setup, controller = controllers[chosenCar] ?? controllers[0];
+  const {controllers, profile} = page.setup, controller = controllers[chosenCar] ?? controllers[0];
   if (kind === "truth" && name === "lag" && profile === "paper") return "The paper’s steering follows at once.";
   if (kind === "belief" && controller.kind === "learning") return "It learns this by itself: see the plot of its belief.";
   if (kind === "belief" && !BELIEVES.has(controller.kind)) return "This controller has no belief about the steering.";
   if (kind === "tuning" && !PREDICTS.has(controller.kind)) return "This controller has no horizon and no weights.";
   if (kind === "tuning" && SCHEDULED(controller.kind)) return "The schedule chooses this.";
-  if (kind === "truth" && name === "friction" && road.test) return "";
   return "";
 }
 
@@ -102,31 +100,31 @@ function showSlider(slider) {
   input.disabled = Boolean(why);
   hint.hidden = !why;
   setText(hint, why);
-  const text = value === null || !Number.isFinite(value) ? "–" : withUnit(slider, value);
+  const text = value === null || !Number.isFinite(value) ? "as in the test" : withUnit(slider, value);
   setText(byId(`value-${slider.id}`), why ? "" : text);
   if (value !== null && document.activeElement !== input) input.value = toSlider(slider, value);
   input.setAttribute("aria-valuetext", text);
 }
 
 function showSliders() {
-  if (page.setup) SLIDERS.forEach(showSlider);
+  if (!page.setup) return;
+  SLIDERS.forEach(showSlider);
+  showTold();
 }
 
-// Touches while one is on its way: only the last is kept.
-const waiting = {sent: false, next: null};
-function send(touch) {
-  if (waiting.sent) {
-    if (waiting.next && waiting.next.said.key !== touch.said.key) change(waiting.next.car, waiting.next.what, waiting.next.said);
-    waiting.next = touch;
-    return;
+// Of touches that wait for one on its way, the last of each kind is sent.
+const waiting = new Map();
+let sending = false;
+async function send(touch) {
+  waiting.set(touch.said.key, touch);
+  if (sending) return;
+  sending = true;
+  while (waiting.size) {
+    const [key, {car, what, said}] = waiting.entries().next().value;
+    waiting.delete(key);
+    await change(car, what, said);
   }
-  waiting.sent = true;
-  change(touch.car, touch.what, touch.said).finally(() => {
-    waiting.sent = false;
-    const {next} = waiting;
-    waiting.next = null;
-    if (next) send(next);
-  });
+  sending = false;
 }
 
 function slide(slider, value) {
@@ -136,10 +134,42 @@ function slide(slider, value) {
   const what = set(setup, kind, name, value);
   page.setup = copyOf(setup);
   if (kind === "truth") tellTruth(name, value);
+  if (kind === "belief") controllerNow().told = false;
   showSlider(slider);
   byId(`touch-${slider.id}`).setAttribute("aria-valuetext", withUnit(slider, value));
   send({car: kind === "truth" ? null : chosenCar, what, said});
+  if (kind === "truth") page.setup.controllers.forEach((_, i) => tellController(i, name));
+  showTold();
   page.tell("touched", slider, value);
+}
+
+// Who is told of every change believes what is true.
+function tellController(i, name) {
+  const controller = page.setup.controllers[i];
+  if (!controller.told || !BELIEVES.has(controller.kind) || !(name in {lag: 0, dead_time: 0})) return;
+  controller.belief = {lag: trueValue("lag"), dead_time: trueValue("dead_time")};
+  send({car: i, what: {belief: {...controller.belief}}, said: {key: `told-${i}`}});
+  SLIDERS.filter(({kind}) => kind === "belief").forEach(showSlider);
+}
+
+const controllerNow = () => page.setup.controllers[chosenCar] ?? page.setup.controllers[0];
+
+function showTold() {
+  const {kind, told} = controllerNow();
+  byId("told").checked = Boolean(told) && BELIEVES.has(kind);
+  byId("told").disabled = !BELIEVES.has(kind);
+}
+
+function makeTold() {
+  const label = document.createElement("label");
+  label.innerHTML = '<input type="checkbox" id="told" data-touch="told"> it is told the truth at every change';
+  byId("touch-belief-lag").after(label);
+  label.firstChild.onchange = event => {
+    page.setup = copyOf(page.setup);
+    controllerNow().told = event.target.checked;
+    if (event.target.checked) tellController(chosenCar, "lag");
+    page.tell("touched", {id: "told"}, event.target.checked);
+  };
 }
 
 // Write it into the setup; gives what the engine is told.
@@ -245,6 +275,7 @@ function showTouches() {
 
 function setUpTouching() {
   SLIDERS.forEach(makeSlider);
+  makeTold();
   makeSensors();
   byId("push-left").onclick = () => push(PUSH);
   byId("push-right").onclick = () => push(-PUSH);
@@ -257,9 +288,6 @@ function setUpTouching() {
     for (const name of Object.keys(TRUE_LINES)) tellTruth(name, trueValue(name), 0);
     showTouches();
   });
-  let known = false;
-  page.on("started", () => { known = false; });
-  page.on("frames", () => { if (!known) { known = true; showSliders(); } });
   page.on("changed", showTouches);
   setUpSweep();
 }
