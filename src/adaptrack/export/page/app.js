@@ -287,9 +287,8 @@ function makeScore() {
   const parts = cars.map((car, i) => {
     const part = document.createElement("div");
     part.id = `score-${i}`;
-    part.innerHTML = `<span class="who"><i style="background: var(--series-${i})">${cars.length > 1 ? i + 1 : ""}</i><span></span></span>
+    part.innerHTML = `<span class="who"><i style="background: var(--series-${i})">${cars.length > 1 ? i + 1 : ""}</i><span id="who-drives-${i}"></span></span>
 <strong class="number" id="error-${i}" data-score="error"></strong><span class="rest" id="rest-${i}" data-score="rest"></span>`;
-    part.querySelector(".who > span").textContent = nameOfCar(i);
     box.append(part);
     return part;
   });
@@ -308,6 +307,7 @@ function showScore() {
     const failed = car.failed !== null && t >= car.failed - 1e-9;
     const last = errorBetween(car, t - WINDOW, t), whole = errorBetween(car, 0, t);
     const [number, unit] = asLength(last.rms);
+    setText(byId(`who-drives-${i}`), nameOfCar(i));
     byId(`score-${i}`).classList.toggle("failed", failed);
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
@@ -326,7 +326,7 @@ function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /, "");
+const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /i, "").replace(/\.$/, "");
 
 // What happened, and what helps.
 function failureSentence(car, i) {
@@ -397,10 +397,14 @@ function showKey() {
 // ---- everything together
 
 const TRAIL = ["#2c7bb6", "#4b9ac0", "#7fbcc9", "#b9d8c4", "#e8e0a6", "#f5b866", "#e88047", "#d1422f"];
-let ticked = 0, begun = false;
+let ticked = 0, begun = false, later = 0;
 
 function tick(now) {
-  if (now - ticked < 180) return;
+  clearTimeout(later);
+  if (now - ticked < 180) {
+    later = setTimeout(page.clock.ask, 200);
+    return;
+  }
   ticked = now;
   showScore();
   page.tell("tick");

@@ -49,12 +49,15 @@ const carName = car => car.name ? CARS[car.name] ?? car.name
 const roadName = road => road.test ? TESTS[road.test] ?? road.test
   : road.name && !road.points ? ROADS[road.name] ?? road.name : road.name || "a road of its own";
 
+// What tells it from the one beside it.
 function nameOfCar(i) {
-  const {controllers} = page.setup, {kind, belief} = controllers[i] ?? {};
-  const short = SHORT[kind] ?? kind;
-  const alike = controllers.length > 1 && controllers[0].kind === controllers[1].kind;
-  if (alike && belief?.lag != null) return `${short.replace("knows its car", "MPC")}, believes ${belief.lag.toFixed(2)} s of lag`;
-  return alike ? `${short} (${i ? "second" : "first"})` : short;
+  const {controllers} = page.setup, {kind, belief, told, tuning} = controllers[i] ?? {}, other = controllers[1 - i];
+  const short = SHORT[kind] ?? kind, own = kind === "informed" ? "MPC" : short;
+  if (told) return `${own} that is told the lag`;
+  if (given(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
+  if (other?.kind !== kind) return short;
+  const differs = tuning && TUNINGS.filter(name => tuning[name] !== other.tuning?.[name]);
+  return differs?.length ? `${own}, ${differs.map(name => `${name} ${niceNumber(tuning[name])}`).join(", ")}` : `${short} (${i ? "second" : "first"})`;
 }
 
 // ---- the sentence

@@ -18,8 +18,8 @@ const SLIDERS = [
   {id: "belief-dead-time", box: "controller", kind: "belief", name: "dead_time", label: "Dead time that the controller believes", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "np", box: "controller", kind: "tuning", name: "Np", label: "Horizon Np", unit: "periods", least: 2, most: 60, step: 1, digits: 0},
   {id: "nc", box: "controller", kind: "tuning", name: "Nc", label: "Moves Nc", unit: "", least: 1, most: 20, step: 1, digits: 0},
-  {id: "q", box: "controller", kind: "tuning", name: "Q", label: "Weight Q of the error", unit: "1/m²", least: -3, most: 4, step: 0.05, log: true},
-  {id: "r", box: "controller", kind: "tuning", name: "R", label: "Weight R of the moves", unit: "1/rad²", least: -3, most: 6, step: 0.05, log: true},
+  {id: "q", box: "controller", kind: "tuning", name: "Q", label: "Weight Q of the error (1/m²)", unit: "", least: -3, most: 4, step: 0.05, log: true},
+  {id: "r", box: "controller", kind: "tuning", name: "R", label: "Weight R of the moves (1/rad²)", unit: "", least: -3, most: 6, step: 0.05, log: true},
 ];
 const SENSORS = {
   y: "Position", yaw: "Heading", yaw_rate: "Yaw rate", vy: "Lateral velocity", wheel_angle: "Wheel angle", lateral_acceleration: "Lateral acceleration",
@@ -35,7 +35,7 @@ let chosenCar = 0;  // whose belief and tuning the sliders set
 
 // ---- what is so now
 
-const USUAL = {noise: 1, friction: 1, wind: 0};
+const USUAL = {noise: 1, wind: 0};
 const OF_TESTS = new Set(["friction", "wind"]);  // a test of the paper says them, and they change
 const steeringOf = profile => page.data.profiles[profile]?.actuator ?? {};
 
@@ -43,6 +43,7 @@ function trueValue(name) {
   const {truth, profile, road} = page.setup, given = truth?.[name];
   if (given !== null && given !== undefined) return given;
   if (road.test && OF_TESTS.has(name)) return null;
+  if (name === "friction") return (page.data.roads[road.name] ?? page.data.road_defaults)?.friction ?? null;
   return USUAL[name] ?? steeringOf(profile)[name] ?? null;
 }
 
@@ -78,7 +79,7 @@ function unused({kind, name}) {
 
 const written = (slider, value) => slider.log ? niceNumber(value) : (value / (slider.scale ?? 1)).toFixed(slider.digits).replace("-", "−");
 const withUnit = (slider, value) => `${written(slider, value)}${slider.unit && slider.unit !== "°" && slider.unit !== "×" ? " " : ""}${slider.unit}`;
-const niceNumber = value => value >= 1e4 || value < 1e-2 ? value.toExponential(0).replace("e+", "e").replace("e-", "e−") : String(+value.toPrecision(2));
+const niceNumber = value => value < 1e-2 ? value.toExponential(0).replace("e-", "e−") : (+value.toPrecision(2)).toLocaleString("en").replaceAll(",", "\u202f");
 const toSlider = (slider, value) => slider.log ? Math.log10(value) : value / (slider.scale ?? 1);
 const fromSlider = (slider, value) => slider.log ? +(10 ** value).toPrecision(3) : +(value * (slider.scale ?? 1)).toPrecision(6);
 
@@ -129,7 +130,7 @@ async function send(touch) {
 
 function slide(slider, value) {
   const {setup} = page, {kind, name} = slider;
-  const who = setup.controllers.length > 1 && kind !== "truth" ? ` of ${nameOfCar(chosenCar)}` : "";
+  const who = setup.controllers.length > 1 && kind !== "truth" ? `, ${chosenCar ? "second" : "first"} car` : "";
   const said = {text: `${slider.label}${who}: ${withUnit(slider, value)}`, key: `${slider.id}-${kind === "truth" ? "" : chosenCar}`};
   const what = set(setup, kind, name, value);
   page.setup = copyOf(setup);
