@@ -141,7 +141,8 @@ async function start(setup, {playing = null, keepNotice = false} = {}) {
 }
 
 function beginDrive(started) {
-  const history = makeHistory(started, {top: 0.5, shades: page.data.shades ?? TRAIL});
+  const history = makeHistory(started, {top: 0.5, shades: TRAIL});
+  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
   return {started, history, busy: false, over: false, touches: []};
 }
 

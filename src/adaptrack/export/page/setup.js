@@ -43,7 +43,7 @@ const copyOf = value => structuredClone(value);
 
 const namesIn = (given, known) => !given ? Object.keys(known)
   : Array.isArray(given) ? given.map(each => each.name ?? each) : Object.keys(given);
-const nameOfController = kind => CONTROLLERS[kind] ?? kind;
+const nameOfController = (kind, names = CONTROLLERS) => names[kind] ?? kind;
 const carName = car => car.name ? CARS[car.name] ?? car.name
   : car.sheet ? `car of ${car.sheet.mass} kg` : `car of the file ${car.file?.name ?? ""}`.trim();
 const roadName = road => road.test ? TESTS[road.test] ?? road.test
@@ -52,7 +52,7 @@ const roadName = road => road.test ? TESTS[road.test] ?? road.test
 // What tells it from the one beside it.
 function nameOfCar(i) {
   const {controllers} = page.setup, {kind, belief, told, tuning} = controllers[i] ?? {}, other = controllers[1 - i];
-  const short = SHORT[kind] ?? kind, own = kind === "informed" ? "MPC" : short;
+  const short = nameOfController(kind, SHORT), own = kind === "informed" ? "MPC" : short;
   if (told) return `${own} that is told the lag`;
   if (given(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
   if (other?.kind !== kind) return short;
