@@ -319,15 +319,15 @@ function showScore() {
   const t = clock.t;
   const sentences = [];
   drive.history.cars.forEach((car, i) => {
-    const failed = car.failed !== null && t >= car.failed - 1e-9;
+    const failed = hasFailed(car, t);
     const last = errorBetween(car, t - WINDOW, t), whole = errorBetween(car, 0, t);
     const [number, unit] = asLength(last.rms);
     setText(byId(`who-drives-${i}`), nameOfCar(i));
     byId(`score-${i}`).classList.toggle("failed", failed);
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
-      ? `at ${car.failed.toFixed(1)} s; until then ${lengthText(whole.rms)}`
-      : `RMS error, last ${WINDOW} s · all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
+      ? `at ${car.failed.toFixed(1)} s\nRMS error until then ${lengthText(whole.rms)}`
+      : `RMS error, last ${WINDOW} s\nof all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
     if (failed) sentences.push(failureSentence(car, i));
   });
   const verdict = byId("verdict"), over = drive.over && t >= clock.limit - 1e-6;
@@ -336,6 +336,9 @@ function showScore() {
   verdict.hidden = !sentences.length;
   setText(verdict, sentences.join(" "));
 }
+
+// As the picture has it: from its last instant on.
+const hasFailed = (car, t) => car.failed !== null && t >= Math.min(car.failed, car.columns.time[car.count - 1]) - 1e-9;
 
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -364,7 +367,10 @@ function remedy(setup, controller, i) {
 
 // ---- pictures
 
-const PLOT_SETS = {few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], paper: ["path", "error", "steering"], all: null};
+const PLOT_SETS = {
+  few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], schedule: ["error", "horizons", "weights", "steering"],
+  paper: ["path", "error", "steering"], all: null,
+};
 let plotSet = "few";
 
 function showPictures() {
@@ -383,9 +389,11 @@ function showPictures() {
   page.view.followCar();
 }
 
-function choosePlots(name) {
-  plotSet = name;
+function choosePlots(wanted) {
+  const name = wanted === "paper" && !page.setup?.road.test ? "few" : wanted;
+  plotSet = wanted;
   byId("plot-choice").value = name;
+  byId("plot-choice").querySelector("[value=paper]").disabled = !page.setup?.road.test;
   page.plots?.choose(PLOT_SETS[name]);
 }
 
