@@ -46,3 +46,16 @@ html_theme = "furo"
 html_title = f"adaptrack {release}"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
+
+
+def write_page(app, exception):
+    """Write the page on which one drives beside the built pages; docs/page.md and docs/index.md lead to it."""
+    if exception is None and app.builder.name == "html":
+        from adaptrack.export.page_file import write_page
+
+        write_page(_Path(app.outdir) / "drive.html")
+
+
+def setup(app):
+    """What Sphinx calls."""
+    app.connect("build-finished", write_page)

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from adaptrack.base.errors import AdaptrackError, ConfigError, ContractError, InvalidInput, StorageError, UnknownName
+from adaptrack.base.errors import AdaptrackError, ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.base.files import Record, build, dump_toml, read_toml, write_toml
 from adaptrack.cars.vehicle import (
     GRAVITY,
@@ -448,27 +448,6 @@ class TestPackPlant:
         slot = PLANT_PARAMETERS.index("tyre_linear")
         assert pack_plant(vehicle, own, actuator)[slot] == 0
         assert pack_plant(vehicle, own.replace(kind="linear"), actuator)[slot] == 1
-
-    @pytest.mark.parametrize(
-        ("edit", "message"),
-        [
-            (lambda names: (*names, "tyre_pressure"), r"missing \['tyre_pressure'\], unused \[\]"),
-            (lambda names: names[1:], r"missing \[\], unused \['mass'\]"),
-        ],
-    )
-    def test_a_kernel_that_asks_for_other_parameters_is_noticed(self, monkeypatch, edit, message):
-        from adaptrack.cars import vehicle
-
-        monkeypatch.setattr(vehicle, "PLANT_PARAMETERS", edit(vehicle.PLANT_PARAMETERS))
-        with pytest.raises(ContractError, match=message):
-            pack_plant(*self.distinct())
-
-    def test_the_order_of_the_kernels_does_not_matter(self, monkeypatch):
-        from adaptrack.cars import vehicle
-
-        packed = pack_plant(*self.distinct())
-        monkeypatch.setattr(vehicle, "PLANT_PARAMETERS", vehicle.PLANT_PARAMETERS[::-1])
-        assert np.array_equal(pack_plant(*self.distinct()), packed[::-1])
 
     def test_kernels_use_the_same_gravity(self):
         from adaptrack.core.plants import forces

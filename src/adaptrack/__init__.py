@@ -213,6 +213,7 @@ _PUBLIC = {
     "studies.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
     "export.fmu": ("export_fmu",),
+    "export.page_file": ("export_page",),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
@@ -325,6 +326,7 @@ if TYPE_CHECKING:
     from adaptrack.drive.world import Driver
     from adaptrack.export.c_library import export_c
     from adaptrack.export.fmu import export_fmu
+    from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.training import train
@@ -452,6 +454,7 @@ __all__ = [
     "compute_metrics",
     "export_c",
     "export_fmu",
+    "export_page",
     "find_failure",
     "fit_road",
     "generate_road",

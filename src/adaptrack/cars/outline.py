@@ -15,13 +15,6 @@ from adaptrack.base.checked import Positive, checked, reals
 
 Array = NDArray[np.float64]
 
-LENGTH_OVER_WHEELBASE = 1.65
-"""Length over wheelbase where a car file says neither length nor overhangs: passenger cars have 1.55 to 1.75."""
-FRONT_SHARE = 0.45
-"""Share of the front in what the body is longer than the wheelbase, where a car file does not say it."""
-WIDER_THAN_TRACK = 0.24
-"""m, by which a body is wider than its larger track, where a car file does not say its width: mirrors do not count."""
-
 
 @checked
 @dataclass(frozen=True, repr=False)

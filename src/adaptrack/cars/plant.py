@@ -28,8 +28,8 @@ from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
-from adaptrack.core.plants.tyre import tyre_law
 from adaptrack.core.plants.user import compile_plant, layout_of
+from adaptrack.core.synthesis import plant as kernel
 
 Array = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ class _Car(Plant):
 
     @property
     def _law(self) -> int:
-        return tyre_law(self.tyre.kind == "linear", self.tyre.curvature)
+        return int(kernel.plant_law(self.tyre.numbers))
 
     def packed(self) -> Array:
         return pack_plant(self.vehicle, self.tyre, self.steering or SteeringActuator.ideal())
@@ -156,9 +156,8 @@ class _Car(Plant):
     def _with_ideal_steering(self) -> Array:
         return pack_plant(self.vehicle, self.tyre, SteeringActuator.ideal())
 
-    @property
-    def _relaxation(self) -> float:
-        return 0.0
+    relaxes = False
+    """Whether its tyres build up their force over a relaxation length."""
 
     def substeps(self, period: float, top_speed: float) -> int:
         """Steps of at most 12.5 ms that keep every mode well inside the stability region (h |lambda| <= 2.2).
@@ -170,13 +169,7 @@ class _Car(Plant):
         """
         if self.steps is not None:
             return self.steps
-        car, tyre = self.vehicle, self.tyre
-        if self._relaxation > 0.0:
-            rate = max(top_speed, 1.0) / self._relaxation
-        else:
-            front, rear = (2.0 * c for c in tyre.stiffness_at(*car.static_loads))
-            rate = max((front + rear) / car.mass, (front * car.lf**2 + rear * car.lr**2) / car.yaw_inertia)
-        return max(1, math.ceil(period / 0.0125 - 1e-9), math.ceil(period * rate / 2.2 - 1e-9))
+        return int(kernel.plant_substeps(self.vehicle.chassis, self.tyre.numbers, self.relaxes, period, top_speed))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
@@ -217,6 +210,8 @@ class DualTrack(_Car):
     Longitudinal and lateral load transfer, relaxation length, friction wheel by wheel, friction ellipse.
     """
 
+    relaxes = True
+
     @property
     def name(self) -> str:
         return "dual-track"
@@ -229,10 +224,6 @@ class DualTrack(_Car):
     def state_names(self) -> tuple[str, ...]:
         slips = tuple(f"slip_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
         return (*MOTION, *slips, "felt_ax", "felt_ay")
-
-    @property
-    def _relaxation(self) -> float:
-        return self.tyre.relaxation_length
 
 
 @final

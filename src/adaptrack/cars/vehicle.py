@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from adaptrack.base.errors import ContractError, InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
 from adaptrack.base.registry import Registry
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
-from adaptrack.cars.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
+from adaptrack.cars.outline import Outline
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
+from adaptrack.core.synthesis import plant as kernel
+from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES
 from adaptrack.core.synthesis.filter import in_periods as in_periods
 from adaptrack.core.synthesis.rows import row_of
 
@@ -32,11 +34,6 @@ if TYPE_CHECKING:
 
 GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2), as in the kernels."""
-
-INERTIAS = (0.1, 10.0)
-"""-, of I_z/(m l_f l_r): beyond these one of the numbers is in another unit, or of another car."""
-STIFFNESSES = (1.0, 150.0)
-"""1/rad, of a tyre's cornering stiffness over its static load; per degree it is 0.1 to 0.5."""
 
 FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
@@ -105,21 +102,24 @@ class Tyre(Record):
     @property
     def stiffness_load_coefficients(self) -> tuple[float, float, float]:
         """(s0, s1, s2) of C(F_z)/C = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load: all three laws in one formula."""
-        if self.stiffness_load == "constant":
-            return 1.0, 0.0, 0.0
-        if self.stiffness_load == "linear" or self.digressive_load_ratio is None:
-            return 0.0, 1.0, 0.0
-        s2 = 1.0 / self.digressive_load_ratio**2
-        return 0.0, 1.0 + s2, s2
+        s0, s1, s2 = kernel.stiffness_coefficients(self.numbers)
+        return s0, s1, s2
 
     def stiffness_at(self, front_load: float, rear_load: float) -> tuple[float, float]:
         """Cornering stiffness (N/rad) of one front and one rear tyre at their vertical loads (N)."""
-        s0, s1, s2 = self.stiffness_load_coefficients
-        front, rear = front_load / self.nominal_load, rear_load / self.nominal_load
-        return (
-            self.stiffness_front * (s0 + s1 * front) / (1.0 + s2 * front**2),
-            self.stiffness_rear * (s0 + s1 * rear) / (1.0 + s2 * rear**2),
-        )
+        front, rear = kernel.tyre_stiffness(self.numbers, front_load, rear_load)
+        return front, rear
+
+    @property
+    def numbers(self) -> Any:
+        """What the kernels know of it, a row of `core.synthesis.plant.Tyre`."""
+        return row_of(
+            kernel.Tyre, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
+            shape_factor=self.shape,
+        )  # fmt: skip
+
+
+_LOAD_LAWS = {"constant": kernel.CONSTANT, "linear": kernel.LINEAR, "digressive": kernel.DIGRESSIVE}
 
 
 class SteeringActuator(Record):
@@ -195,26 +195,18 @@ class Body(Record):
         ValueError
             When the length leaves no room for an axle, or is not wheelbase and overhangs.
         """
-        front, rear = self.front_overhang, self.rear_overhang
-        if self.length is not None:
-            beyond = self.length - wheelbase
-        elif front is not None and rear is not None:
-            beyond = front + rear
-        elif front is not None:
-            beyond = front / FRONT_SHARE
-        elif rear is not None:
-            beyond = rear / (1.0 - FRONT_SHARE)
-        else:
-            beyond = (LENGTH_OVER_WHEELBASE - 1.0) * wheelbase
-        if front is None:
-            front = FRONT_SHARE * beyond if rear is None else beyond - rear
-        rear = beyond - front if rear is None else rear
-        if min(front, rear) < 0.0:
+        status, front, rear = kernel.overhangs(self.numbers, wheelbase)
+        if status == kernel.AXLE_OUTSIDE:
             raise ValueError(f"length {self.length} m does not hold wheelbase ({wheelbase:g} m) and overhangs.")
-        if abs(front + rear - beyond) > 0.02:
+        if status == kernel.LENGTH_DISAGREES:
             total = f"{front:g} + {wheelbase:g} + {rear:g} m"
             raise ValueError(f"length {self.length} m is not overhang, wheelbase and overhang, {total}: leave one out.")
         return front, rear
+
+    @property
+    def numbers(self) -> Any:
+        """A row of `core.synthesis.plant.Body`."""
+        return row_of(kernel.Body, self)
 
 
 class Vehicle(Record):
@@ -305,37 +297,35 @@ class Vehicle(Record):
     @model_validator(mode="after")
     def _numbers_are_of_one_car(self) -> Self:
         """Refuse a number in another unit than the others, such as a mass in tonnes or a stiffness per degree."""
-        index = self.yaw_inertia / (self.mass * self.lf * self.lr)
-        if not INERTIAS[0] <= index <= INERTIAS[1]:
+        flaw, ratio = car.car_flaw(self.numbers)
+        if flaw == car.INERTIA_ODD:
             raise ValueError(
                 f"yaw_inertia = {self.yaw_inertia:g} kg m^2 and mass = {self.mass:g} kg do not belong together: "
-                f"yaw_inertia/(mass lf lr) = {index:.3g}, where cars have about 1 ({INERTIAS[0]:g} to {INERTIAS[1]:g} "
+                f"yaw_inertia/(mass lf lr) = {ratio:.3g}, where cars have about 1 ({INERTIAS[0]:g} to {INERTIAS[1]:g} "
                 "is allowed). Give the mass in kg, lengths in m, the inertia in kg m^2; with another mass the inertia "
                 "changes too."
             )
-        for axle, load in zip(("front", "rear"), self.static_loads, strict=True):
-            stiffness = getattr(self, f"stiffness_{axle}")
-            if not STIFFNESSES[0] <= stiffness / load <= STIFFNESSES[1]:
-                raise ValueError(
-                    f"stiffness_{axle} = {stiffness:g} N/rad is {stiffness / load:.3g} times the load of its wheel, "
-                    f"{load:.0f} N; tyres have 5 to 30 ({STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} is allowed). Give it "
-                    "in N/rad for one tyre: N/deg times 57.3, kN/rad times 1000."
-                )
+        if flaw != car.ONE_CAR:
+            axle, load = ("front", "rear")[flaw - car.FRONT_ODD], self.static_loads[flaw - car.FRONT_ODD]
+            raise ValueError(
+                f"stiffness_{axle} = {getattr(self, f'stiffness_{axle}'):g} N/rad is {ratio:.3g} times the load of its "
+                f"wheel, {load:.0f} N; tyres have 5 to 30 ({STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} is allowed). Give "
+                "it in N/rad for one tyre: N/deg times 57.3, kN/rad times 1000."
+            )
         return self
 
     @property
     def outline(self) -> Outline:
         """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
-        body = self.body or Body()
-        front, rear = body.overhangs(self.wheelbase)
+        body, found = self.body or Body(), row_of(kernel.Outline)
+        kernel.outline_of(body.numbers, self.chassis, found)
         known = {
             "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
             "front_overhang": body.front_overhang is not None or None not in (body.length, body.rear_overhang),
             "width": body.width is not None,
         }
-        width = max(self.track_front, self.track_rear) + WIDER_THAN_TRACK if body.width is None else body.width
-        guesses = tuple(name for name, given in known.items() if not given)
-        return Outline(self.lf + front, self.lr + rear, width, guesses)
+        front, rear, width = found.tolist()
+        return Outline(front, rear, width, tuple(name for name, given in known.items() if not given))
 
     @property
     def wheelbase(self) -> float:
@@ -348,10 +338,15 @@ class Vehicle(Record):
         return row_of(car.Car, self)
 
     @property
+    def chassis(self) -> Any:
+        """What a plant takes of it beside tyre and steering, a row of `core.synthesis.plant.Chassis`."""
+        return row_of(kernel.Chassis, self)
+
+    @property
     def static_loads(self) -> tuple[float, float]:
         """Vertical load (N) of one front and one rear wheel of the car at rest."""
-        per_length = 0.5 * self.mass * GRAVITY / self.wheelbase
-        return per_length * self.lr, per_length * self.lf
+        front, rear = car.static_loads(self.mass, self.lf, self.lr)
+        return front, rear
 
     @property
     def understeer_gradient(self) -> float:
@@ -439,67 +434,12 @@ class Vehicle(Record):
 
 
 def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDArray[np.float64]:
-    """The plant's parameters as one array, shape (len(PLANT_PARAMETERS),), in the order that the kernels expect.
-
-    Raises
-    ------
-    ContractError
-        When the kernels ask for a parameter that this function does not give, or the other way round.
-    """
+    """The plant's parameters as one array, shape (len(PLANT_PARAMETERS),), in the order that the kernels expect."""
     import numpy as np
 
-    s0, s1, s2 = tyre.stiffness_load_coefficients
-    values = {
-        **{name: getattr(vehicle, name) for name in _FROM_VEHICLE},
-        **{name: getattr(tyre, name) for name in _FROM_TYRE},
-        "tyre_linear": float(tyre.kind == "linear"),
-        "stiffness_load_0": s0,
-        "stiffness_load_1": s1,
-        "stiffness_load_2": s2,
-        "steering_lag": actuator.lag,
-        "steering_rate": actuator.rate,
-        "steering_limit": actuator.limit,
-    }
-    if set(values) != set(PLANT_PARAMETERS):
-        missing = sorted(set(PLANT_PARAMETERS) - set(values))
-        unused = sorted(set(values) - set(PLANT_PARAMETERS))
-        raise ContractError(
-            f"pack_plant and core.plants.parameters.PLANT_PARAMETERS differ: missing {missing}, unused {unused}."
-        )
-    return np.array([values[name] for name in PLANT_PARAMETERS], dtype=np.float64)
-
-
-_FROM_VEHICLE = (
-    "mass",
-    "yaw_inertia",
-    "lf",
-    "lr",
-    "track_front",
-    "track_rear",
-    "cg_height",
-    "load_transfer_time",
-    "frontal_area",
-    "air_density",
-    "drag_coefficient",
-    "side_force_slope",
-    "yaw_moment_slope",
-    "wind_angle_limit",
-    "rolling_resistance",
-    "engine_power",
-    "traction_limit",
-    "brake_limit",
-    "drive_front",
-    "brake_front",
-)
-_FROM_TYRE = (
-    "stiffness_front",
-    "stiffness_rear",
-    "nominal_load",
-    "shape",
-    "curvature",
-    "friction_load_sensitivity",
-    "relaxation_length",
-)
+    found = np.zeros(len(PLANT_PARAMETERS))
+    kernel.plant_parameters(vehicle.chassis, tyre.numbers, row_of(kernel.Actuator, actuator), found)
+    return found
 
 
 def list_vehicles() -> list[str]:

@@ -21,6 +21,7 @@ from adaptrack.cli import (
     evaluate_schedules,
     export,
     export_fmu,
+    export_page,
     identify,
     lists,
     manoeuvre,
@@ -88,5 +89,6 @@ for command in (
     app.command()(command)
 app.add_typer(dataset.app, name="dataset")
 export.app.command("fmu")(export_fmu.export_fmu)
+export.app.command("page")(export_page.export_page)
 app.add_typer(export.app, name="export")
 app.add_typer(road.app, name="road")

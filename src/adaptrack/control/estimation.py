@@ -27,6 +27,7 @@ from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.contract import compile_estimator
 from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
 from adaptrack.core.period import Perceiving
+from adaptrack.core.synthesis.plant import lateral_rate
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -330,8 +331,7 @@ class FrictionWindEstimator:
         self.belief = belief or FrictionWindPrior()
         self.delay = bool(delay)
         self.period = period
-        front, rear = (2.0 * c for c in self.tyre.stiffness_at(*vehicle.static_loads))
-        rate = max((front + rear) / vehicle.mass, (front * vehicle.lf**2 + rear * vehicle.lr**2) / vehicle.yaw_inertia)
+        rate = lateral_rate(vehicle.chassis, self.tyre.numbers)
         self.steps = math.ceil(self.period * rate / SLOWEST)
         self.noise = (noise_vy, noise_yaw_rate, noise_acceleration)
         self._packed = pack_plant(self.vehicle, self.tyre, self.steering)

@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
-
-import numpy as np
 
 from .kernel import columns, cube, inlined, local, matrix, record, rows
+from .layout import put
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor
 from .maths.exponential import hypot
@@ -357,9 +355,18 @@ def change_command(slots, run):
         )
 
 
-def memory(slots: int, dead_whole: int, past: int) -> Any:
-    """What the loop remembers of `slots` slots before the first instant; past: instants that late sensors look back."""
-    return Memory(OWN.new(slots), np.zeros((slots, dead_whole + 2)), np.zeros((slots, past, SENSED)))
+@inlined
+def memory_sizes(slots, dead_whole, past, table, row):
+    """Sizes of the arrays of `Memory`, see `layout`; past: instants that late sensors look back."""
+    row = put(table, row, slots)
+    row = put(table, row, slots, dead_whole + 2)
+    return put(table, row, slots, past, SENSED)
+
+
+@inlined
+def instants_back(oldest, period):
+    """How many instants late sensors look back; oldest: s, age of the oldest sample."""
+    return whole(ceil(oldest / period)) + 2 if oldest > 0.0 else 0
 
 
 @inlined

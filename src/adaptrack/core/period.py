@@ -13,8 +13,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from .estimators import friction_wind
 from .kernel import (
     Place,
@@ -32,6 +30,7 @@ from .kernel import (
     vector,
     void,
 )
+from .layout import put, room
 from .loop import (
     NEVER_ARRIVED,
     NOT_FINITE,
@@ -46,11 +45,13 @@ from .loop import (
     judge,
     locate,
     look,
+    memory_sizes,
     sense,
     substeps_around_change,
 )
-from .plants.contract import INPUTS, STATES, Vehicles, advance, input_at, observe, place_one, state_at
-from .road import Roads
+from .models.contract import MEASURED
+from .plants.contract import INPUTS, STATES, Vehicles, advance, input_at, observe, place_one, state_at, vehicle_sizes
+from .road import COLUMNS, NUMBERS, Roads
 from .variables import VARIABLES
 
 FEATURES = (
@@ -121,19 +122,69 @@ Span = record("Span", ("periods", "slots", "segment", "weight"), whole=("periods
 squared moves in the cost (m^2/rad^2)."""
 
 
+Counts = record(
+    "Counts",
+    (
+        "slots", "parameters", "states",  # of the plant
+        "scenarios", "samples", "roads", "starts", "pieces", "headings",  # of `Given`: samples of each scenario
+        "perceiving", "perceiving_settings",  # numbers of `Perceiving`; 0: nobody estimates
+        "dead_whole", "past",  # periods and instants, see `loop.memory_sizes`
+        "segments",  # of each run
+        "traced", "answers",  # instants and columns of a trace; 0: none
+    ),
+    whole=(
+        "slots", "parameters", "states", "scenarios", "samples", "roads", "starts", "pieces", "headings", "perceiving",
+        "perceiving_settings", "dead_whole", "past", "segments", "traced", "answers",
+    ),
+)  # fmt: skip
+"""What the sizes of a `Loop` follow from."""
+
+
+@inlined
+def trace_sizes(slots, traced, answers, table, row):
+    """Sizes of the arrays of `Trace`, see `layout`."""
+    count = slots if traced > 0 else 0
+    row = put(table, row, count, traced, STATES)
+    row = put(table, row, count, traced, answers)
+    return put(table, row, count, traced, len(NOTED))
+
+
+@inlined
+def put_sizes(counts, table, row):
+    """Sizes of the arrays of a `Loop` (in `Run`, `measured` is that of the MPC), see `layout`."""
+    slots = counts.slots
+    row = vehicle_sizes(slots, counts.parameters, counts.states, table, row)
+    row = put(table, row, counts.scenarios, len(SIGNAL), counts.samples)
+    row = put(table, row, counts.scenarios)  # of
+    row = put(table, row, counts.roads, len(NUMBERS))
+    row = put(table, row, counts.starts)
+    row = put(table, row, counts.pieces, COLUMNS)
+    row = put(table, row, counts.headings)
+    for _ in range(2):  # scenario, seeds
+        row = put(table, row, slots)
+    row = put(table, row, counts.perceiving)
+    row = put(table, row, counts.perceiving_settings)
+    row = put(table, row, slots if counts.perceiving > 0 else 0)
+    row = put(table, row, len(MEASURED))
+    row = put(table, row, len(VARIABLES))
+    row = memory_sizes(slots, counts.dead_whole, counts.past, table, row)
+    for _ in range(2):  # result, ceiling
+        row = put(table, row, slots)
+    row = put(table, row, slots, counts.segments)
+    return trace_sizes(slots, counts.traced, counts.answers, table, row)
+
+
 def no_trace() -> Any:
     """No trace."""
-    return Trace(*[np.zeros((0, 0, 0))] * 3)
+    return traces(0, 0, 0)
 
 
 def traces(slots: int, periods: int, answers: int) -> Any:
     """Traces before the first instant, NaN, with so many columns of answers."""
-    return Trace(*[np.full((slots, periods, width), math.nan) for width in (STATES, answers, len(NOTED))])
-
-
-def no_estimator() -> Any:
-    """Nobody estimates friction and wind."""
-    return Perceiving(np.zeros(0), np.zeros(0), friction_wind.Memory.new(0))
+    made = room(Trace, trace_sizes, slots, periods, answers)
+    for each in made:
+        each[:] = math.nan
+    return made
 
 
 @inlined

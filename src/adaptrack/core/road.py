@@ -43,6 +43,7 @@ DEGREE = 11
 HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
 ACROSS = ALONG + DEGREE + 1
 TURNED = ACROSS + DEGREE + 1
+COLUMNS = TURNED + DEGREE + 1
 """Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
 1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
 LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)

@@ -11,10 +11,25 @@ from typing import Any
 
 import numpy as np
 
+from . import period
 from .controllers import mpc
 from .controllers.contract import SITUATION, Situation, call_law
 from .controllers.mpc_step import step_with
-from .kernel import Place, address_of, columns, exported, inlined, int64, matrix, record, vector, void
+from .kernel import (
+    Place,
+    Row,
+    address_of,
+    columns,
+    exported,
+    inlined,
+    int64,
+    int_matrix,
+    matrix,
+    record,
+    vector,
+    void,
+)
+from .layout import put, room
 from .loop import RUNNING, SIGNAL
 from .maths.bits import whole
 from .models.contract import MEASURED
@@ -22,7 +37,7 @@ from .period import LOOP, Span, after_control, before_control, begin_slot, close
 from .plants.contract import place_one
 from .qp import problem as qp
 from .road import RoadAhead, bend_ahead, line_of
-from .schedule import Schedule, schedule
+from .schedule import Schedule, schedule, schedule_sizes
 
 COMMON = columns("command", "command_change", "held")
 """Every controller's answer begins with these, as `mpc.ANSWER` does."""
@@ -52,21 +67,60 @@ Run = record("Run", _PARTS)
 """A batch of runs with their controllers; measured: that of the MPC."""
 
 
+Counts = record(
+    "Counts",
+    (
+        ("loop", period.Counts), ("mpc", mpc.Counts),
+        "law", "law_parameters", "law_memory", "diagnostics",  # 1: a law drives; its numbers, those that it remembers
+        "integers", "numbers", "scratch",  # of the schedule, see `schedule.schedule_sizes`
+        "tuning",  # entries of the controller's tuning
+    ),
+    whole=(
+        "law", "law_parameters", "law_memory", "diagnostics", "integers", "numbers", "scratch", "tuning",
+    ),
+)  # fmt: skip
+"""What the sizes of a `Run` follow from beside the settings of its MPC. One that a law drives has a small MPC all the
+same, of 4 states and 6 parameters."""
+
+
+@inlined
+def law_sizes(slots, parameters, memory, diagnostics, table, row):
+    """Sizes of the arrays of `Law`, see `layout`."""
+    row = put(table, row, parameters)
+    row = put(table, row, slots, memory)
+    row = put(table, row, len(SITUATION) if slots > 0 else 0)
+    row = put(table, row, 1 + diagnostics if slots > 0 else 0)
+    return put(table, row, slots, len(COMMON) + diagnostics if slots > 0 else 0)
+
+
+@exported(int64(Row(mpc.Settings), Row(Counts), int_matrix), name="run_sizes")
+def sizes(own, counts, table):
+    """Write the sizes of the arrays of a `Run` and how many there are, see `layout`; complete the MPC's settings.
+
+    The two arrays `measured`, of the loop and of the MPC, are one.
+    """
+    slots = counts.loop.slots
+    row = period.put_sizes(counts.loop, table, 0)
+    mpc.complete_settings(own, counts.mpc)
+    row = mpc.put_sizes(own, counts.mpc, table, row)
+    driven = slots if counts.law > 0 else 0
+    row = law_sizes(driven, counts.law_parameters, counts.law_memory, counts.diagnostics, table, row)
+    row = schedule_sizes(slots, counts.integers, counts.numbers, counts.scratch, table, row)
+    return put(table, row, slots, counts.tuning)
+
+
 def no_law_batch() -> Any:
     """The laws of a batch that the MPC drives."""
-    none = np.zeros(0)
-    return Law(address_of(None), none, np.zeros((0, 0)), none, none, np.zeros((0, 0)), 0, 0)
+    return room(Law, law_sizes, 0, 0, 0, 0)._replace(function=address_of(None))
 
 
 def law_batch(slots: int, law: Any) -> Any:
     """Fresh control laws for `slots` slots, of a `CompiledController`."""
-    diagnostics = law.diagnostic_names
+    diagnostics, parameters = law.diagnostic_names, np.array(law.parameters(), float)
+    made = room(Law, law_sizes, slots, parameters.size, law.memory_size, len(diagnostics))
+    made.parameters[:] = parameters
     held = 1 + diagnostics.index("held") if "held" in diagnostics else 0
-    return Law(
-        address_of(law.function), np.array(law.parameters(), float), np.zeros((slots, law.memory_size)),
-        np.zeros(len(SITUATION)), np.zeros(1 + len(diagnostics)), np.zeros((slots, len(COMMON) + len(diagnostics))),
-        held, int(law.preview),
-    )  # fmt: skip
+    return made._replace(function=address_of(law.function), held=held, preview=int(law.preview))
 
 
 # -- the controller ---------------------------------------------------------------------------------------------------

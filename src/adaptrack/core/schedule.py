@@ -16,6 +16,7 @@ import numpy as np
 from .functions import evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
 from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
+from .layout import put, room
 from .maths.exact import clip, floor
 from .maths.exponential import power
 from .variables import VARIABLES
@@ -66,10 +67,19 @@ SCRATCH = len(VARIABLES) + MOST_ENTRIES + MAP_AXES
 """Reals of scratch that a schedule needs beside those of its functions."""
 
 
+@inlined
+def schedule_sizes(slots, integers, numbers, scratch, table, row):
+    """Sizes of the arrays of `Schedule`, see `layout`; scratch: of its functions and `SCRATCH` more, 0: no schedule."""
+    row = put(table, row, 1)
+    row = put(table, row, slots if scratch > 0 else 0)
+    row = put(table, row, integers)
+    row = put(table, row, numbers)
+    return put(table, row, scratch)
+
+
 def no_schedule() -> Any:
     """What a run without a scheduler is given."""
-    none = np.zeros(0)
-    return Schedule(SETTINGS.new(), MEMORY.new(0), np.zeros(0, np.int64), none, none)
+    return room(Schedule, schedule_sizes, 0, 0, 0, 0)
 
 
 def counted(memory: Any) -> Any:

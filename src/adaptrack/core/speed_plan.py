@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import math
 
-from .kernel import exported, float64, inlined, vector, void
+from .kernel import exported, float64, inlined, int64, record, vector, void
 from .maths.exact import floor, sqrt, square
+
+SpeedPlan = record(
+    "SpeedPlan", (("s", vector), ("speed", vector), ("time", vector), ("duration", float64), ("closed", int64))
+)
+"""A plan: m, m/s and s of arrival at its places, s in all (of a lap, where closed is 1), standing at stops included."""
 
 
 @inlined
@@ -42,3 +47,33 @@ def planned_speeds(lap, s, speed, places):
             before = place
             low, high = square(speed[k]), square(speed[k + 1])
             places[i] = sqrt((high - low) / (s[k + 1] - s[k]) * (place - s[k]) + low)
+
+
+@inlined
+def motion_at(time, plan):
+    """Station (m) and speed (m/s) at a time (s) from the start: lap after lap, or at the end of an open road."""
+    s, speed, last = plan.s, plan.speed, plan.s.size - 1
+    laps = floor(time / plan.duration) if plan.closed > 0 else 0.0
+    inside = min(time - laps * plan.duration, plan.duration)
+    if inside >= plan.time[last]:
+        return s[last] + laps * s[last], speed[last]
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if plan.time[middle] <= inside:
+            low = middle
+        else:
+            high = middle
+    mean = 0.5 * (speed[low] + speed[low + 1])
+    moving = (s[low + 1] - s[low]) / mean if mean > 0.0 else math.inf
+    since = max(inside - (plan.time[low + 1] - moving), 0.0) if moving < math.inf else 0.0  # after standing there
+    since = min(since, moving)
+    gained = 0.5 * (square(speed[low + 1]) - square(speed[low])) / (s[low + 1] - s[low]) * since
+    return s[low] + (speed[low] + 0.5 * gained) * since + laps * s[last], max(speed[low] + gained, 0.0)
+
+
+@exported(void(SpeedPlan, vector, vector, vector))
+def plan_motion(plan, times, stations, speeds):
+    """Write stations (m) and speeds (m/s) at times (s), see `motion_at`."""
+    for i in range(times.size):
+        stations[i], speeds[i] = motion_at(times[i], plan)

@@ -275,9 +275,7 @@ class Batch:
         assert isinstance(plant, Plant)
         if isinstance(own, CompiledController):
             functions = kernel.functions()
-            mpc = kernel.batch(
-                slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4), np.zeros(0)), (np.zeros(0), 0)
-            )
+            mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(0)), (np.zeros(0), 0))
             law = rollout.law_batch(slots, own)
             width = law.answer.shape[1] + len(own.tuning_names)
         else:
@@ -291,9 +289,10 @@ class Batch:
             self.settings[steps],
             variables=scheduler is not None,
             trace=period_kernel.traces(slots, periods, width) if periods else None,
+            segments=segments,
         )
         features = loop.features._replace(law=isinstance(own, CompiledController))
-        loop = loop._replace(features=features, measured=mpc.measured, segments=np.zeros((slots, segments)))
+        loop = loop._replace(features=features, measured=mpc.measured)
         return rollout.Run(
             *loop,
             mpc=mpc,

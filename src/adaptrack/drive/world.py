@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
-from adaptrack.cars.vehicle import SteeringActuator, in_periods
+from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
-from adaptrack.control.scheduling.variables import reference_preview
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.variables import VARIABLES
+from adaptrack.core.layout import room
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.planning.drive import complete_samples
+from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import Failure, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import SENSING, Profile, load_profile
@@ -147,32 +148,39 @@ class World:
     @property
     def dead_periods(self) -> tuple[int, float]:
         """From an instant until its command acts: whole control periods, and the share of one more."""
-        return in_periods(self.profile.delay * self.period + self.steering.dead_time, self.period)
+        whole, share = dead_periods(self.profile.delay, self.steering.dead_time, self.period)
+        return whole, share
 
-    def loop(self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None) -> Any:
+    @property
+    def remembered(self) -> int:
+        """Instants whose samples are kept because they come late; 0 where all sensors are prompt."""
+        return int(loop_kernel.instants_back(self.profile.oldest, self.period))
+
+    def loop(
+        self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None, segments: int = 0
+    ) -> Any:  # fmt: skip
         """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
 
         given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
-        `core.period.traces`, None for none.
+        `core.period.traces`, None for none; segments: of each run.
         """
-        slots, oldest = len(vehicles.start), self.profile.oldest
-        past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
+        past = self.remembered
         known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
-        return period_kernel.Loop(
+        counts = period_kernel.Counts(**dict.fromkeys(period_kernel.Counts._fields, 0))
+        counts = counts._replace(
+            slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments
+        )  # fmt: skip
+        made = room(period_kernel.Loop, period_kernel.put_sizes, counts)
+        made.ceiling[:] = np.nan
+        return made._replace(
             settings=settings,
             features=period_kernel.Features(
                 late=past > 0, variables=variables, estimates=known is not None, traces=trace is not None, law=0
             ),
             vehicles=vehicles,
             given=given,
-            perceiving=period_kernel.no_estimator() if known is None else known.packed_for(slots),
-            measured=np.zeros(len(MEASURED)),
-            variables=np.zeros(len(VARIABLES)),
-            memory=loop_kernel.memory(slots, self.dead_periods[0], past),
-            result=period_kernel.RESULT.new(slots),
-            ceiling=np.full(slots, np.nan),
-            segments=np.zeros((slots, 0)),
-            trace=period_kernel.no_trace() if trace is None else trace,
+            perceiving=made.perceiving if known is None else known.packed_for(len(vehicles.start)),
+            trace=made.trace if trace is None else trace,
         )
 
     def samples(self, signals: Signals, number: int) -> Array:
@@ -180,17 +188,21 @@ class World:
 
         number: of the scenario in its batch, from which errors of perception are drawn.
         """
-        known = (signals.friction.mean(axis=1), signals.wind[:, 1])
+        rows = np.empty((len(SIGNAL), signals.n + 1))
+        given = {
+            "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
+            "bank": signals.bank, "acceleration": signals.curvature, "station": signals.station,
+        }  # fmt: skip
+        for name, values in given.items():
+            rows[getattr(SIGNAL, name)] = values
+        rows[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1] = signals.friction.T
+        complete_samples(signals.period, rows)
         if isinstance(self.known_as, Perception):
-            known = self.known_as.known(*known, signals.period, number)
-        ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
-        ahead[1][:] += np.abs(signals.curvature) * signals.speed**2
-        return np.ascontiguousarray(
-            np.vstack([
-                signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead,
-                signals.station,
-            ])
-        )  # fmt: skip
+            friction, wind = rows[SIGNAL.known_friction].copy(), rows[SIGNAL.known_wind].copy()
+            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.known(
+                friction, wind, signals.period, number
+            )
+        return rows
 
     def start(self, scenario: Scenario | RoadDrive, signals: Signals) -> Array:
         """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""

@@ -40,7 +40,7 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
         places += [each.shape[0] for each in own]
         for found, each in zip(parts, own, strict=True):
             found.append(each)
-    none = np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0)
+    none = np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0)
     joined = (
         found[0] if len(found) == 1 else np.concatenate([empty, *found])
         for empty, found in zip(none, parts, strict=True)
@@ -123,5 +123,5 @@ class RoadAhead:
 @cache
 def straight() -> Any:
     """`core.road.RoadAhead` of a straight road."""
-    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0))
+    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0))
     return kernel.RoadAhead(line, 0.0, np.zeros(0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import model_validator
 from adaptrack.base.checked import real, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.base.files import Record
+from adaptrack.core.planning import along as kernel
 from adaptrack.road.segments import Array
 
 
@@ -54,21 +56,24 @@ class Along(Record):
             kept[1:-1] = (value[:-2] != value[1:-1]) | (value[1:-1] != value[2:])
         return cls(s=tuple(s[kept].tolist()), value=tuple(value[kept].tolist()), kind=kind)
 
+    @cached_property
+    def packed(self) -> Any:
+        """The record that `adaptrack.core.planning` reads; read-only."""
+        return kernel.Along(np.array(self.s), np.array(self.value), int(self.kind == "steps"))
+
     def at(self, s: ArrayLike) -> Array:
         """The values at the arc lengths `s` (m), in the shape of `s`."""
-        s, known, value = reals("Along.at: s", s), np.array(self.s), np.array(self.value)
-        if self.kind == "linear":
-            return np.interp(s, known, value)
-        return value[np.clip(np.searchsorted(known, s, "right") - 1, 0, known.size - 1)]
+        given = reals("Along.at: s", s)
+        found = given.flatten()
+        kernel.along_values(self.packed, found)
+        return np.asarray(found.reshape(given.shape)[()])
 
     def least(self, start: ArrayLike, end: ArrayLike) -> Array:
         """The smallest value between arc lengths `start` and `end`, (n,) each: at the ends and at what lies between."""
-        start, end = np.atleast_1d(start).astype(np.float64), np.atleast_1d(end).astype(np.float64)
-        least = np.minimum(self.at(start), self.at(end))
-        first, last = np.searchsorted(self.s, start, "left"), np.searchsorted(self.s, end, "right")
-        for k in np.flatnonzero(last > first):
-            least[k] = min(least[k], *self.value[first[k] : last[k]])
-        return least
+        ends = np.stack(np.broadcast_arrays(np.atleast_1d(start), np.atleast_1d(end))).astype(np.float64)
+        found = np.empty(ends.shape[1])
+        kernel.along_least(self.packed, ends[0], ends[1], found)
+        return found
 
     def within(self, allowed: Callable[[Array], NDArray[np.bool_]], what: str) -> None:
         """Refuse values that are not allowed.

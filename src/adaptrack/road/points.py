@@ -29,7 +29,7 @@ COLUMNS = {
 }
 """What a column may be called. Columns of other names are left out, and said."""
 
-_DEGREES = ("lat", "lon", "latitude", "longitude", "lng")
+DEGREES = ("lat", "lon", "latitude", "longitude", "lng")
 _WITHOUT_HEADER = {2: ("x", "y"), 4: ("x", "y", "width_right", "width_left")}
 
 
@@ -152,7 +152,7 @@ def _names(where: str, header: Sequence[str], count: int) -> list[str]:
             )
         return list(_WITHOUT_HEADER[count])
     names = [_column_of(title) or "" for title in header]
-    if {title.strip().lower() for title in header} & set(_DEGREES):
+    if {title.strip().lower() for title in header} & set(DEGREES):
         raise ConfigError(f"{where}: latitude and longitude; convert them to x (east) and y (north) in m first.")
     for name in ("x", "y"):
         if names.count(name) != 1:

@@ -17,6 +17,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
 from adaptrack.core.path import line_numbers
+from adaptrack.core.planning import along as along_kernel
 from adaptrack.core.road import X, Y
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
@@ -32,6 +33,7 @@ HALF_LANE = Along.constant(1.75)
 DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
 """Friction, as in the scenarios, and bank where nothing is said."""
 AT_ORIGIN = Pose()
+_NO_LIMIT = along_kernel.Along(np.zeros(0), np.zeros(0), 0)
 
 
 class Jump(NamedTuple):
@@ -235,11 +237,11 @@ class Road:
 
     def edges(self, s: ArrayLike) -> tuple[Array, Array]:
         """The left and the right edge at the arc lengths `s`: two arrays (..., 2) of x, y (m)."""
-        points = self.at(s)
-        normal = np.stack([-np.sin(points.heading), np.cos(points.heading)], axis=-1)
-        centre = np.stack([points.x, points.y], axis=-1)
-        left, right = (self.along(name, s)[..., np.newaxis] for name in ("width_left", "width_right"))
-        return centre + left * normal, centre - right * normal
+        places = reals("Road.edges: s", s)
+        edges = np.empty((places.size, 4))
+        left, right = self.width_left.packed, self.width_right.packed
+        along_kernel.road_edges(self.packed(), left, right, places.flatten(), edges)
+        return edges[:, :2].reshape(*places.shape, 2), edges[:, 2:].reshape(*places.shape, 2)
 
     def curvature_jumps(self, least: float = JUMP) -> list[Jump]:
         """The places at which the curvature changes at once, by more than `least` (1/m)."""
@@ -300,6 +302,11 @@ class Road:
         numbers = np.empty(4)
         line_numbers(start, pieces, self.closed, numbers)
         return kernel.Centreline(start, pieces, numbers)
+
+    def route(self) -> Any:
+        """The road with what lies along it as `adaptrack.core.planning` reads it; read-only."""
+        limit = _NO_LIMIT if self.speed_limit is None else self.speed_limit.packed
+        return along_kernel.Route(self.packed(), self.friction.packed, self.bank.packed, limit)
 
     # ---- variants
 

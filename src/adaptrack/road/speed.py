@@ -1,25 +1,15 @@
 """The speed along a road: the fastest one that curvature, friction, bank, comfort and powertrain allow.
 
-With w = v^2 the acceleration along the road is a = w'(s)/2; sideways tyres feel a_y = v^2 kappa - g sin(bank). Bounds:
-
-    |a_y| <= min(comfort, grip),  grip = share mu g cos(bank);   -brake(w, s) <= a <= drive(w, s),
-
-where friction leaves the largest b with b^2 + (a_y/(1 - b h/(g l)))^2 <= grip^2 to brake or accelerate with: the axle
-at the distance l from the centre of mass to the *other* one is unloaded by b h/(g l) of its load, must carry its share
-of a_y all the same, and a car whose rear cannot spins. Without a car h = 0, the friction circle.
-The curvature may change no faster than v^3 |kappa'| = lateral jerk. Each bound falls as w grows, so the
-fastest profile is found by one pass forward, with what the car can gain, and one backward, with what it can lose
-(E. Velenis and P. Tsiotras, *Minimum-time travel for a vehicle with acceleration limits*, JOTA 138 (2008)).
+`adaptrack.core.planning.speed` has the formulas and finds it; here are its inputs, its refusals, stops, a bounded jerk.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -31,19 +21,18 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.domain import Domain
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
-from adaptrack.core.speed_plan import planned_speeds
-from adaptrack.road.cornering import cornering_limit
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import speed_plan as plan_kernel
+from adaptrack.core.planning import speed as kernel
+from adaptrack.core.planning.cells import PLAN, plan_places
+from adaptrack.core.planning.speed import FLAT as FLAT
+from adaptrack.road.cornering import cornering_limit, packed, steering_limit
 from adaptrack.road.holdable import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
 SPACING = 1.0
 """m, between the places at which the speed is planned, by default."""
-UNLOADINGS = 6
-"""Steps of Newton's method."""
-FLAT = 1e-9
-"""1/m, a curvature that counts as none."""
 
 
 class Comfort(Record):
@@ -81,8 +70,7 @@ class Limit(StrEnum):
     JERK = "jerk"
 
 
-_LIMITS = tuple(Limit)
-_NUMBER = {limit: i for i, limit in enumerate(_LIMITS)}
+_LIMITS = tuple(Limit[name.upper()] for name in kernel.LIMIT._fields)
 
 
 class Stretch(NamedTuple):
@@ -151,22 +139,20 @@ class SpeedPlan:
         place = reals("SpeedPlan.at: s", s)
         found = place.flatten()
         s, speed = np.ascontiguousarray(self.s), np.ascontiguousarray(self.speed)
-        planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, found)
+        plan_kernel.planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, found)
         return np.asarray(found.reshape(place.shape)[()])
 
     def motion(self, time: ArrayLike) -> tuple[Array, Array]:
         """Station (m) and speed (m/s) at times (s) from the start: lap after lap, or at the end of an open road."""
         t = reals("SpeedPlan.motion: time", time)
-        laps = np.floor(t / self.duration) if self.closed else np.zeros_like(t)
-        inside = np.minimum(t - laps * self.duration, self.duration)
-        k = np.clip(np.searchsorted(self.time, inside, side="right") - 1, 0, self.s.size - 2)
-        moving = np.diff(self.s) / (0.5 * (self.speed[:-1] + self.speed[1:]))
-        since = np.clip(inside - (self.time[k + 1] - moving[k]), 0.0, moving[k])  # after standing at k
-        gained = self.acceleration[k] * since
-        reached = inside >= self.time[-1]
-        s = np.where(reached, self.s[-1], self.s[k] + (self.speed[k] + 0.5 * gained) * since)
-        v = np.where(reached, self.speed[-1], self.speed[k] + gained)
-        return s + laps * self.s[-1], np.maximum(v, 0.0)
+        s, v = np.empty(t.size), np.empty(t.size)
+        plan_kernel.plan_motion(self.packed(), t.flatten(), s, v)
+        return np.asarray(s.reshape(t.shape)[()]), np.asarray(v.reshape(t.shape)[()])
+
+    def packed(self) -> Any:
+        """The plan as the record that `adaptrack.core` reads; read-only."""
+        rows = (np.ascontiguousarray(each) for each in (self.s, self.speed, self.time))
+        return plan_kernel.SpeedPlan(*rows, self.duration, int(self.closed))
 
 
 @checked
@@ -214,28 +200,17 @@ def plan_speed(
             )
     if road.closed and (start is not None or end is not None):
         raise InvalidInput("plan_speed: a closed road has no start and no end: leave both out, or give stops.")
-    cells = _Cells(road, car, comfort, _places(road, spacing, halts), holds)
-    cells.end_with(top_speed)
-    ceiling, named = cells.ceiling()
-    for stop in halts:
-        here = np.abs(cells.s - stop.s) < 1e-9
-        ceiling[here], named[here] = 0.0, _NUMBER[Limit.ENDS]
-    _impose_ends((ceiling, named), start, end)
-    if road.closed:
-        least = int(ceiling[-1] < ceiling[0]) * -1
-        ceiling[[0, -1]], named[[0, -1]] = ceiling[least], named[least]
-    elif start is None and car is not None:
-        ceiling[0] = min(ceiling[0], cells.sustained(ceiling[0]))
-    w = _passed(cells, ceiling, road.closed)
-    if start is not None and w[0] < start * start * (1.0 - 1e-9):
-        slower = math.sqrt(w[0])
-        raise InvalidInput(
-            f"plan_speed: start = {start:g} m/s: a car cannot brake in time; start at {slower:.4g} m/s at most."
-        )
+    bounds = _bounds(comfort, car, start, end, top_speed, spacing)
+    planning = _planning(road, bounds, car, halts)
+    planning = _with_cells(planning, car, holds)
+    status, place, value = kernel.fastest_speeds(planning)
+    _refuse(planning, status, place, value)
     if math.isfinite(comfort.jerk):
-        w = _with_jerk(cells, w, comfort.jerk, road.closed, start)
-    plan = _plan(cells.s, w, halts, road.closed, comfort)
-    return replace(plan, binding=_binding(cells, w, ceiling, named))
+        _soften(planning, road.closed)
+    duration = kernel.plan_times(planning)
+    kernel.plan_binding(planning)
+    binding = planning.table[PLAN.binding, :-1].astype(np.int8)
+    return _plan(planning.table, duration, road.closed, comfort, binding)
 
 
 def unlimited(limit: Array) -> NDArray[np.bool_]:
@@ -246,249 +221,112 @@ def unlimited(limit: Array) -> NDArray[np.bool_]:
 @checked
 def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> SpeedPlan:
     """One speed all along a road, whatever its limits."""
-    s = _places(road, SPACING, ())
-    return _plan(s, np.full(s.shape, speed**2), (), road.closed, Comfort())
+    planning = _planning(road, _bounds(Comfort(), None), None, ())
+    return _plan(planning.table, kernel.plan_constant(speed, planning), road.closed, Comfort())
 
 
-def _impose_ends(bounds: tuple[Array, NDArray[np.int8]], start: float | None, end: float | None) -> None:
-    ceiling, named = bounds
-    for name, value, place in (("start", start, 0), ("end", end, -1)):
-        if value is None:
-            continue
-        most = math.sqrt(ceiling[place])
-        if value > most * (1.0 + 1e-9):
-            raise InvalidInput(f"plan_speed: {name} = {value!r} m/s: must be at most {most:.4g} there.")
-        ceiling[place], named[place] = value * value, _NUMBER[Limit.ENDS]
+def _bounds(
+    comfort: Comfort, car: Vehicle | None, start: float | None = None, end: float | None = None,
+    top_speed: float | None = None, spacing: float = SPACING,
+) -> Any:  # fmt: skip
+    """What bounds a plan beside the road and the powertrain, for the kernels."""
+    return kernel.Bounds(
+        **comfort.model_dump(),
+        start=math.nan if start is None else start,
+        end=math.nan if end is None else end,
+        top_speed=math.nan if top_speed is None else top_speed,
+        domain_speed=(Domain() if car is None else car.domain).speed[1],
+        no_limit=SPEED.most,
+        steering_limit=math.nan if car is None else steering_limit(car),
+        spacing=spacing,
+    )
 
 
-def _places(road: Road, spacing: float, halts: Sequence[Stop]) -> Array:
-    """Even places, those where the shape changes, and the stops."""
-    even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / spacing)) + 1)
-    s = np.union1d(np.union1d(even, road.table.start), [stop.s for stop in halts])
-    kept = np.concatenate([[True], np.diff(s) > 1e-6 * spacing])
-    kept[np.searchsorted(s, [stop.s for stop in halts])] = True
-    s = s[kept]
-    s[-1] = road.length
-    return s
+def _planning(road: Road, bounds: Any, car: Vehicle | None, halts: Sequence[Stop]) -> Any:
+    """A plan to be made, for the kernels (`core.planning.speed.Planning`); nothing of it is written."""
+    stops, seconds = np.array(sorted(halts), dtype=np.float64).reshape(-1, 2).T.copy()
+    route, none = road.route(), np.zeros(0)
+    places = plan_places(route.line.start, bounds.spacing, stops, none)
+    plant = none if car is None else packed(car)
+    return kernel.Planning(
+        route, bounds, plant, stops, seconds, none, np.zeros((0, 0)), np.zeros((len(PLAN), places))
+    )  # fmt: skip
 
 
-def _plan(s: Array, w: Array, halts: Sequence[Stop], closed: bool, comfort: Comfort) -> SpeedPlan:
-    v = np.sqrt(np.maximum(w, 0.0))
-    mean = 0.5 * (v[:-1] + v[1:])
-    with np.errstate(divide="ignore"):
-        steps = np.diff(s) / mean  # exact for a constant acceleration
-    standing = np.zeros_like(s)
-    for stop in halts:
-        standing[np.argmin(np.abs(s - stop.s))] += stop.seconds
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    arrival = time + np.concatenate([[0.0], np.cumsum(standing)[:-1]])
-    return SpeedPlan(s, v, arrival, float(arrival[-1] + standing[-1]), closed, comfort)
+def _with_cells(planning: Any, car: Vehicle | None, holds: HoldableSpeed | None) -> Any:
+    """The plan with what road, car and controller say between its places."""
+    kernel.plan_cells(planning)
+    table = planning.table[:, :-1]
+    curvature, bank, friction = table[PLAN.curvature], table[PLAN.bank], table[PLAN.friction]
+    if car is not None:
+        table[PLAN.cornering] = cornering_limit(car, curvature, friction)
+    if holds is None:
+        return planning
+    held_at, held = holds.along(curvature, bank, friction)
+    table[PLAN.margins] = highest(held_at, held)
+    return planning._replace(held_at=held_at, held=np.ascontiguousarray(held))
 
 
-class _Cells:
-    """What bounds the speed between neighbouring places, and at what."""
-
-    def __init__(
-        self, road: Road, car: Vehicle | None, comfort: Comfort, s: Array, holds: HoldableSpeed | None = None
-    ) -> None:
-        self.s, self.ds, self.car, self.comfort = s, np.diff(s), car, comfort
-        first, last = road.table.at(s[:-1], 1).curvature, road.table.at(s[1:], -1).curvature
-        self.curvature = np.where(np.abs(first) > np.abs(last), first, last)  # monotonous between: the larger end
-        with np.errstate(divide="ignore", over="ignore"):
-            swerve = (comfort.lateral_jerk * self.ds / np.abs(last - first)) ** (2.0 / 3.0)
-        bank, friction = road.along("bank", 0.5 * (s[:-1] + s[1:])), road.friction.least(s[:-1], s[1:])
-        self.tilt = GRAVITY * np.sin(bank)
-        self.grip = comfort.grip_share * friction * GRAVITY * np.cos(bank)
-        if car is not None:
-            self.grip = np.minimum(self.grip, comfort.grip_share * cornering_limit(car, self.curvature, friction))
-        self._refuse_steep()
-        self.limit = (
-            np.full(self.ds.shape, np.inf) if road.speed_limit is None else road.speed_limit.least(s[:-1], s[1:])
-        )
-        self.bounds = {
-            Limit.LATERAL: self._bend(np.full(self.ds.shape, comfort.lateral)), Limit.GRIP: self._bend(self.grip),
-            Limit.CURVATURE_RATE: swerve, Limit.SPEED_LIMIT: self.limit**2,
-        }  # fmt: skip
-        self._held: tuple[Array, Array] | None = None
-        if holds is not None:
-            self._held = holds.along(self.curvature, bank, friction)
-            self.bounds[Limit.MARGINS] = highest(*self._held)
-
-    def _refuse_steep(self) -> None:
-        """A bend that is too tight for the car, or a bank alone that exceeds what is allowed sideways."""
-        allowed = np.minimum(self.grip, self.comfort.lateral)
-        steep = np.flatnonzero(np.abs(self.tilt) >= allowed)
-        if not steep.size:
-            return
-        k = int(steep[0])
-        if allowed[k] == 0.0:
-            raise InvalidInput(
-                f"plan_speed: at s = {self.s[k]:.6g} m the radius is {1.0 / abs(self.curvature[k]):.3g} m, and this "
-                "car cannot turn so tightly; correct the road there, or smooth it."
-            )
+def _refuse(planning: Any, status: int, k: int, value: float) -> None:
+    """Refuse what `core.planning.speed.fastest_speeds` finds not possible at a place."""
+    s, curvature, tilt = (float(planning.table[row, k]) for row in (PLAN.s, PLAN.curvature, PLAN.tilt))
+    if status == kernel.CANNOT_TURN:
         raise InvalidInput(
-            f"plan_speed: at s = {self.s[k]:.6g} m the bank alone pushes with {abs(self.tilt[k]):.3g} m/s^2, and "
-            f"{allowed[k]:.3g} are allowed; allow more, or correct the bank."
+            f"plan_speed: at s = {s:.6g} m the radius is {1.0 / abs(curvature):.3g} m, and this "
+            "car cannot turn so tightly; correct the road there, or smooth it."
+        )
+    if status == kernel.TOO_STEEP:
+        raise InvalidInput(
+            f"plan_speed: at s = {s:.6g} m the bank alone pushes with {abs(tilt):.3g} m/s^2, and "
+            f"{value:.3g} are allowed; allow more, or correct the bank."
+        )
+    if status in (kernel.START_TOO_FAST, kernel.END_TOO_FAST):
+        name = "start" if status == kernel.START_TOO_FAST else "end"
+        asked = getattr(planning.bounds, name)
+        raise InvalidInput(f"plan_speed: {name} = {asked!r} m/s: must be at most {value:.4g} there.")
+    if status == kernel.CANNOT_BRAKE:
+        raise InvalidInput(
+            f"plan_speed: start = {planning.bounds.start:g} m/s: a car cannot brake in time; start at {value:.4g} m/s "
+            "at most."
         )
 
-    def _bend(self, allowed: Array) -> Array:
-        """v^2 at which a bend asks for what is allowed sideways (m/s^2)."""
-        bent = np.abs(self.curvature) > FLAT
-        pushed = allowed + np.sign(self.curvature) * self.tilt
-        return np.where(bent, pushed / np.where(bent, np.abs(self.curvature), 1.0), np.inf)
 
-    def end_with(self, top_speed: float | None) -> None:
-        """Where speeds end that nothing else bounds: at a top speed (m/s), or where the car's domain does."""
-        if top_speed is not None:
-            self.bounds[Limit.TOP_SPEED] = np.full(self.ds.shape, top_speed**2)
-            return
-        end = (Domain() if self.car is None else self.car.domain).speed[1]
-        self.bounds[Limit.DOMAIN] = np.where(unlimited(self.limit), end**2, np.inf)
-
-    def ceiling(self) -> tuple[Array, NDArray[np.int8]]:
-        """(n,) largest v^2 at each place, whatever comes before and after, and what bounds it: its place in `Limit`."""
-        stacked = np.stack(list(self.bounds.values()))
-        named = np.array([_NUMBER[limit] for limit in self.bounds], np.int8)[stacked.argmin(axis=0)]
-        w = np.concatenate([[np.inf], stacked.min(axis=0), [np.inf]])
-        names = np.concatenate([[0], named, [0]]).astype(np.int8)
-        return np.minimum(w[:-1], w[1:]), np.where(w[:-1] <= w[1:], names[:-1], names[1:])
-
-    def sustained(self, most: float) -> float:
-        """The largest v^2, up to `most`, at which the car's power holds the speed at the start."""
-        if self.drive(0, most) >= 0.0:
-            return most
-        low, high = 0.0, most
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.drive(0, middle) >= 0.0 else (low, middle)
-        return low
-
-    def left(self, k: int, w: float, arm: float) -> float:
-        """What friction leaves along the road (m/s^2): Newton's method from above on a convex function, to rounding.
-
-        arm: m, from the centre of mass to the axle that gains load.
-        """
-        sideways, grip = abs(w * self.curvature[k] - self.tilt[k]), float(self.grip[k])
-        if sideways >= grip:
-            return 0.0
-        b = math.sqrt(grip * grip - sideways * sideways)
-        lever = 0.0 if self.car is None else self.car.cg_height / (GRAVITY * arm)
-        if lever == 0.0:
-            return b
-        b = min(b, (1.0 - sideways / grip) / lever)
-        if sideways < 1e-6 * grip:
-            return b
-        for _ in range(UNLOADINGS):
-            rest = 1.0 - lever * b
-            over = b * b + (sideways / rest) ** 2 - grip * grip
-            b -= over / (2.0 * b + 2.0 * lever * sideways**2 / rest**3)
-        return max(b, 0.0)
-
-    def drives(self, k: int, w: float) -> tuple[float, float, float]:
-        """What bounds the acceleration in a cell at v^2 = w: comfort, grip, power."""
-        if self.car is None:
-            return self.comfort.accelerate, self.left(k, w, 1.0), math.inf
-        car, slowed = self.car, self.resistance(w)
-        force = min(car.traction_limit, car.engine_power / math.sqrt(max(w, 1e-6)))
-        return self.comfort.accelerate, self.left(k, w, car.lr) - slowed, force / car.mass - slowed
-
-    def brakings(self, k: int, w: float) -> tuple[float, float, float, float]:
-        """What bounds the deceleration there: comfort, grip, brakes, margins of the controller.
-
-        What air and rolling add is left to the tyres as a reserve.
-        """
-        held = math.inf if self._held is None else max(float(np.interp(w, self._held[0], self._held[1][k])), 0.0)
-        if self.car is None:
-            return self.comfort.brake, self.left(k, w, 1.0), math.inf, held
-        brakes = self.car.brake_limit / self.car.mass + self.resistance(w)
-        return self.comfort.brake, self.left(k, w, self.car.lf), brakes, held
-
-    def drive(self, k: int, w: float) -> float:
-        """The largest acceleration in a cell at v^2 = w."""
-        return min(self.drives(k, w))
-
-    def brake(self, k: int, w: float) -> float:
-        """The largest deceleration in a cell at v^2 = w."""
-        return min(self.brakings(k, w))
-
-    def resistance(self, w: float) -> float:
-        """Deceleration by air and rolling (m/s^2), without wind."""
-        if self.car is None:
-            return 0.0
-        air = 0.5 * self.car.air_density * self.car.frontal_area * self.car.drag_coefficient * w
-        return air / self.car.mass + self.car.rolling_resistance * GRAVITY
+def _plan(
+    table: Array, duration: float, closed: bool, comfort: Comfort, binding: NDArray[np.int8] | None = None
+) -> SpeedPlan:
+    s, speed, time = (table[row].copy() for row in (PLAN.s, PLAN.speed, PLAN.time))
+    return SpeedPlan(s, speed, time, float(duration), closed, comfort, binding)
 
 
-def _passed(cells: _Cells, ceiling: Array, closed: bool) -> Array:
-    """Forward, then backward; on a closed road once around before it counts."""
-    w, n = ceiling.copy(), cells.ds.size
-    for lap in range(2 if closed else 1):
-        if lap:
-            w[0] = w[-1] = min(w[0], w[-1])
-        for k in range(n):
-            w[k + 1] = min(w[k + 1], _next(w[k], w[k + 1], cells.ds[k], partial(cells.drive, k)))
-    for lap in range(2 if closed else 1):
-        if lap:
-            w[0] = w[-1] = min(w[0], w[-1])
-        for k in range(n - 1, -1, -1):
-            w[k] = min(w[k], _next(w[k + 1], w[k], cells.ds[k], partial(cells.brake, k)))
-    return w
-
-
-_DRIVES = (Limit.ACCELERATE, Limit.GRIP, Limit.POWER)
-_BRAKINGS = (Limit.BRAKE, Limit.GRIP, Limit.BRAKES, Limit.MARGINS)
-
-
-def _binding(cells: _Cells, w: Array, ceiling: Array, named: NDArray[np.int8]) -> NDArray[np.int8]:
-    """(n - 1,) places in `Limit` of what bounds v^2 = w in each cell.
-
-    Where both of its ends are at their ceilings, that of the slower one; else what bounds the acceleration.
-    """
-    at_ceiling = w >= ceiling * (1.0 - 1e-6)
-    found = np.where(w[:-1] <= w[1:], named[:-1], named[1:])
-    for k in np.flatnonzero(~(at_ceiling[:-1] & at_ceiling[1:])).tolist():
-        gains = w[k + 1] >= w[k]
-        bounds, names = (cells.drives, _DRIVES) if gains or cells.drive(k, w[k]) < 0.0 else (cells.brakings, _BRAKINGS)
-        most = np.minimum(bounds(k, w[k]), bounds(k, w[k + 1]))
-        used = abs(w[k + 1] - w[k]) / (2.0 * cells.ds[k])
-        soft = math.isfinite(cells.comfort.jerk) and used < 0.98 * most.min()
-        found[k] = _NUMBER[Limit.JERK if soft else names[int(most.argmin())]]
-    return found.astype(np.int8)
-
-
-def _next(w: float, ceiling: float, ds: float, most: Callable[[float], float]) -> float:
-    """v^2 a cell further, with what is possible at both of its ends."""
-    reached = max(min(ceiling, w + 2.0 * ds * most(w)), 0.0)
-    return max(min(reached, w + 2.0 * ds * most(reached)), 0.0)
-
-
-def _with_jerk(cells: _Cells, fastest: Array, jerk: float, closed: bool, start: float | None) -> Array:
-    """The fastest v^2 below `fastest` with a bounded jerk, nearly: a linear programme.
+def _soften(planning: Any, closed: bool) -> None:
+    """Replace the fastest v^2 by the fastest ones below with a bounded jerk, nearly: a linear programme.
 
     The jerk is v a' = v w''/2. With v at most the fastest, |w''| <= 2 jerk/v_fastest keeps it, as the bounds on a at
     the fastest speed keep those at a lower one; the least time is that of the largest sum of w ds/w_fastest^(3/2).
     """
-    n, ds = fastest.size, cells.ds
+    jerk, start = planning.bounds.jerk, planning.bounds.start
+    fastest, ds = planning.table[PLAN.square], np.diff(planning.table[PLAN.s])
+    n = fastest.size
     v = np.sqrt(fastest)
     sparse = scipy.sparse
     slope = sparse.csr_array(sparse.diags_array([-1.0 / ds, 1.0 / ds], offsets=[0, 1], shape=(n - 1, n)))
     gap = 0.5 * (ds[:-1] + ds[1:])
     bend = sparse.csr_array(sparse.diags_array([-1.0 / gap, 1.0 / gap], offsets=[0, 1], shape=(n - 2, n - 1))) @ slope
-    drive = np.array([2.0 * min(cells.drive(k, fastest[k]), cells.drive(k, fastest[k + 1])) for k in range(n - 1)])
-    brake = np.array([2.0 * min(cells.brake(k, fastest[k]), cells.brake(k, fastest[k + 1])) for k in range(n - 1)])
+    drive, brake = np.empty(n - 1), np.empty(n - 1)
+    kernel.plan_accelerations(planning, drive, brake)
     share = 2.0 * jerk / np.maximum(np.maximum(v[1:-1], 0.5 * (v[:-2] + v[2:])), 0.1)
-    rows, bounds = [slope, -slope, bend, -bend], [np.maximum(drive, 0.0), brake, share, share]
+    rows, bounds = [slope, -slope, bend, -bend], [np.maximum(2.0 * drive, 0.0), 2.0 * brake, share, share]
     if closed:
         seam = (slope[[0]] - slope[[n - 2]]) * (2.0 / (ds[0] + ds[-1]))
         rows += [seam, -seam, sparse.csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n))]
         bounds += [share[:1], share[:1], np.zeros(1)]
     worth = np.concatenate([ds, [ds[-1]]]) / np.maximum(fastest, 1.0) ** 1.5
     low = np.zeros(n)
-    low[0] = 0.0 if start is None else fastest[0] * (1.0 - 1e-9)
+    low[0] = 0.0 if math.isnan(start) else fastest[0] * (1.0 - 1e-9)
     below, most, ends = sparse.vstack(rows), np.concatenate(bounds), np.stack([low, fastest], axis=-1)
     found = scipy.optimize.linprog(-worth, A_ub=below, b_ub=most, bounds=ends, method="highs")
     if found.x is None:
         raise InvalidInput(
             f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."
         )
-    return np.minimum(found.x, fastest)
+    fastest[:] = np.minimum(found.x, fastest)

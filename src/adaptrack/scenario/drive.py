@@ -12,6 +12,8 @@ from pydantic import Field
 from adaptrack.base.checked import Count, Finite, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import PERIODS
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.planning import drive as kernel
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind
@@ -107,29 +109,32 @@ class RoadDrive:
         InvalidInput
             When the drive has no or too many control periods.
         """
-        count = math.floor(self.duration / period)
+        count = kernel.drive_periods(self.plan.duration, self.laps, period)
         if not 1 <= count <= PERIODS.most:
             raise InvalidInput(
                 f"drive {self.name!r} lasts {self.duration:.6g} s: {count:,} periods of {period!r} s; 1 to "
                 f"{PERIODS.most:,} are possible ({PERIODS.reason})."
             )
         t = instants(count, period)
-        station, speed = self.plan.motion(t)
+        wind = self.wind.at(t)
+        samples = np.empty((len(SIGNAL), count + 1))
+        drive = kernel.RoadDrive(
+            self.road.route(), self.plan.packed(), period, self._offset.at(t), wind[:, 0].copy(), wind[:, 1].copy()
+        )
+        kernel.drive_along_road(drive, samples)
+        wheels = samples[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1]
         return Signals(
-            period, t, self._offset.at(t), speed, np.repeat(self.road.along("friction", station)[:, None], 4, axis=1),
-            self.wind.at(t), self.road.along("bank", station), station, self.road.at(station).curvature,
+            period, t, samples[SIGNAL.y_ref], samples[SIGNAL.speed], wheels.T, wind, samples[SIGNAL.bank],
+            samples[SIGNAL.station], samples[SIGNAL.acceleration],
         )  # fmt: skip
 
     def start_pose(self) -> tuple[float, float, float]:
         """x, y (m) and yaw (rad) at the start."""
-        place = self.road.at(0.0)
-        heading = float(place.heading)
         offset = float(self._offset.at(0.0)) if self.start_offset is None else float(self.start_offset)
-        return (
-            float(place.x) - offset * math.sin(heading),
-            float(place.y) + offset * math.cos(heading),
-            heading + self.start_heading,
-        )
+        pose = np.empty(3)
+        kernel.drive_start(self.road.packed(), offset, self.start_heading, pose)
+        x, y, yaw = pose.tolist()
+        return x, y, yaw
 
     def replace(self, **changes: Any) -> Self:
         """A copy with other values."""

@@ -10,7 +10,7 @@ import numpy as np
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SPEED
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.planning.drive import bank_pull, drive_instants
 from adaptrack.scenario.shapes import Array
 
 HIGHEST_FRICTION = 3.0
@@ -84,7 +84,10 @@ class Signals:
     @property
     def push(self) -> Array:
         """(n + 1,) m/s^2, the pull of the banked road to the left, g sin(bank)."""
-        return GRAVITY * np.sin(self.bank)
+        assert isinstance(self.bank, np.ndarray)  # since __post_init__
+        pull = self.bank.copy()
+        bank_pull(pull)
+        return pull
 
     @property
     def n(self) -> int:
@@ -94,6 +97,6 @@ class Signals:
 
 def instants(n: int, period: float) -> Array:
     """The instants 0..n: k/f where the period is 1/f, f whole, so that the third is 0.3 s, not 0.30000000000000004."""
-    k = np.arange(n + 1, dtype=np.float64)
-    rate = round(1.0 / period)
-    return k / rate if rate >= 1 and 1.0 / rate == period else k * period
+    times = np.empty(n + 1)
+    drive_instants(period, times)
+    return times

@@ -110,17 +110,8 @@ def informed_parts(
     InvalidInput
         For arguments that make no controller.
     """
-    car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
-    world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
-    step = _checked(world.period if period is None else period)
-    steering, uncertainty, learning = given
-    if learning is not None:
-        _same_car(car, learning)
-    method = UNASKED if learning is None or learning == AUTO else learning
-    named = profile is not None and not isinstance(learning, Learning)
-    order = _order(car, world.numbers(step), known_steering(car, steering, world, named), uncertainty, method)
-    order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
-    order.alone, order.filter_given = profile is None, estimator is not None
+    order, world, method = order_of(vehicle, profile, given, period, estimator, preview)
+    car, step = vehicle, float(order.world.period)
     made = kernel.Parts.new(1)
     made["filter"] = (KalmanFilter() if estimator is None else estimator).numbers
     parts = made[0]
@@ -139,8 +130,30 @@ def informed_parts(
         preview=world.preview,
         belief=belief,
         learner=learner,
-        learns=f"{'learns' if parts.learns else 'does not learn'}, {_why(order, learning)}{learns}",
+        learns=f"{'learns' if parts.learns else 'does not learn'}, {_why(order, given[2])}{learns}",
     )
+
+
+def order_of(
+    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
+    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
+) -> tuple[Any, Profile, Learning]:  # fmt: skip
+    """What is ordered of the kernels, a row of `core.synthesis.informed.Order`, for which profile, and how it learns.
+
+    Arguments and errors are those of `informed_parts`.
+    """
+    car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
+    world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
+    step = _checked(world.period if period is None else period)
+    steering, uncertainty, learning = given
+    if learning is not None:
+        _same_car(car, learning)
+    method = UNASKED if learning is None or learning == AUTO else learning
+    named = profile is not None and not isinstance(learning, Learning)
+    order = _order(car, world.numbers(step), known_steering(car, steering, world, named), uncertainty, method)
+    order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
+    order.alone, order.filter_given = profile is None, estimator is not None
+    return order, world, method
 
 
 def _order(

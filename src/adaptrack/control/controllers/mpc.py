@@ -371,7 +371,7 @@ class MPC(Controller):
         """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""
         model, estimator = self.model, self.estimator
         return kernel.batch(
-            slots, settings, (model.parameters(), model.measured_places(), model.output, self._turning()),
+            slots, settings, (model.parameters(), model.measured_places(), self._turning()),
             (estimator.parameters(model), estimator.memory_size(model)), curved,
             None if self.learner is None else (self.learner.parameters(), self.learner.fresh()),
         )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Solution
+from adaptrack.core.layout import aligned
 from adaptrack.core.maths.vectors import padded
 from adaptrack.core.qp import problem as kernels
 from adaptrack.core.qp.active_set import active_set
@@ -36,14 +37,13 @@ class Workspace:
 
     def _grow(self, n: int, m: int, with_h: bool) -> None:
         self._n, self._m, self._with_h = n, m, with_h
-        shapes = kernels.workspace_sizes(n, m, with_h)
+        inverses, work, rows, index = kernels.workspace_sizes(n, m, with_h)
         width, depth = padded(n), padded(m)
-        self._E, self._Mt = kernels.aligned((n, width)), kernels.aligned((n, depth))
-        self._K, self._gamma = kernels.aligned((width,)), kernels.aligned((depth,))
-        self._inverses = kernels.aligned(shapes["factor"])
-        self.solution = kernels.Solution(kernels.aligned((width,)), kernels.aligned((depth,)))
-        index = np.zeros(shapes["index"], dtype=np.int64)
-        self.scratch = kernels.Scratch(kernels.aligned(shapes["work"]), kernels.aligned(shapes["rows"]), index)
+        self._E, self._Mt = aligned((n, width)), aligned((n, depth))
+        self._K, self._gamma = aligned((width,)), aligned((depth,))
+        self._inverses = aligned(inverses)
+        self.solution = kernels.Solution(aligned((width,)), aligned((depth,)))
+        self.scratch = kernels.Scratch(aligned(work), aligned(rows), aligned((index,), np.int64))
 
     def solve_exactly(self, qp: QP, warm_start: Solution | None = None, max_iterations: int | None = None) -> Attempt:
         """What the exact method finds for ``qp``, from the active rows of an earlier solution if there is one.

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.control.controllers.inputs import vector
+from adaptrack.core.planning.drive import LOOK_AHEAD as LOOK_AHEAD
+from adaptrack.core.planning.drive import reference_ahead
 
 Array = NDArray[np.float64]
-
-LOOK_AHEAD = 3.0
-"""s, how far ahead `change` and `acceleration` look."""
 
 
 class Variable(NamedTuple):
@@ -92,12 +91,6 @@ def reference_preview(reference: ArrayLike, period: float, instants: int = 1) ->
     reference: y_ref (m) at the instants, one `period` (s) apart; beyond its end it goes straight on.
     """
     y = vector("reference", reference)
-    ahead = max(2, round(LOOK_AHEAD / period))
-    y = y[: instants + ahead]
-    slope = y[-1] - y[-2] if len(y) > 1 else 0.0
-    y = np.concatenate([y, y[-1] + slope * np.arange(1, instants + ahead - len(y) + 1)])
-    places = np.arange(ahead + 1)[:, None] + np.arange(instants)  # instants last: maxima of long rows are fast
-    change = np.abs(y[places[1:]] - y[:instants]).max(axis=0)
-    bend = np.abs(np.diff(y, 2)) / period**2
-    acceleration = bend[places[: ahead - 1]].max(axis=0)
+    change, acceleration = np.empty(instants), np.empty(instants)
+    reference_ahead(period, y, change, acceleration)
     return change, acceleration

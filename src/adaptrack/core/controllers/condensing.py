@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..kernel import boolean, exported, float64, inlined, int64, matrix, record, vector, void
+from ..layout import put
 from ..maths.exact import sqrt
 from ..maths.vectors import WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
 
@@ -23,6 +24,15 @@ Discrete = record(
     ),
 )  # fmt: skip
 """A model over one control period: A (n, n), B (n,), C (n,), E (n,), and scratch, three times (n,)."""
+
+
+@inlined
+def discrete_sizes(n, table, row):
+    """Sizes of the arrays of `Discrete`, see `layout`."""
+    row = put(table, row, n, n)
+    for _ in range(6):
+        row = put(table, row, n)
+    return row
 
 
 def discrete(a: Any, b: Any, c: Any) -> Any:

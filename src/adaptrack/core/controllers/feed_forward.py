@@ -22,14 +22,10 @@ along the road, so the prediction does not know of them.
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
-import numpy as np
-
 from ..kernel import exported, inlined, int64, record, vector, viewer, void
+from ..layout import put
 from ..maths.bits import whole
-from ..maths.exact import clip
+from ..maths.exact import ceil, clip
 from ..models import path
 
 Turning = record(
@@ -60,17 +56,21 @@ Bend = record("Bend", ("before", "here", "after", "beyond"))
 bend_at = viewer(Bend)
 
 
-def feed_forward(turning: Any, samples: int = 0) -> Any:
-    """`FeedForward` of a car with room for so many moves, where its moves know of the road."""
-    own = np.array(turning, float)
-    return FeedForward(own, *np.zeros((3, samples if own.size else 0)))
-
-
-def bend_size(horizon: int, period: float, turning: Any) -> int:
-    """How far ahead (instants) the road has to be known; turning: `Turning` of the car or nothing."""
-    if len(turning) == 0:
+@inlined
+def bend_size(horizon, period, turning, lag):
+    """How far ahead (instants) the road has to be known; turning: numbers of `Turning`, lag: (s) that in it."""
+    if turning == 0:
         return horizon + 1
-    return horizon + 1 + math.ceil((float(turning_of(turning, 0).lag) + FURTHEST) / period) + 2
+    return horizon + 1 + whole(ceil((lag + FURTHEST) / period)) + 2
+
+
+@inlined
+def feed_forward_sizes(turning, samples, table, row):
+    """Sizes of the arrays of `FeedForward` with room for so many moves, where moves know of the road; see `layout`."""
+    row = put(table, row, turning)
+    for _ in range(3):
+        row = put(table, row, samples if turning > 0 else 0)
+    return row
 
 
 @inlined

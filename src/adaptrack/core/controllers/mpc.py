@@ -17,11 +17,14 @@ import numpy as np
 from ..estimators import kalman, learning
 from ..kernel import (
     Place,
+    Row,
     address_of,
     columns,
     cube,
+    exported,
     four_dimensions,
     inlined,
+    int64,
     int_matrix,
     int_vector,
     matrix,
@@ -29,13 +32,15 @@ from ..kernel import (
     rows,
     vector,
     viewer,
+    void,
 )
+from ..layout import put, room
 from ..maths import vectors
 from ..models.contract import MEASURED
 from ..qp import problem as qp
-from .condensing import Discrete, discrete, laguerre_moves
-from .constraints import ROWS, limit_rows
-from .feed_forward import FeedForward, bend_size, feed_forward
+from .condensing import Discrete, discrete_sizes, laguerre_moves
+from .constraints import OUTPUT_ROWS, ROWS, limit_rows
+from .feed_forward import FeedForward, bend_size, feed_forward_sizes, turning_of
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 Settings = record(
@@ -176,98 +181,156 @@ def settings(**values: Any) -> Any:
     return Settings(**{**dict.fromkeys(Settings._fields, 0), **values})
 
 
-def workspace(slots: int, states: int, own: Any) -> Any:
-    """A workspace for up to `slots` slots under `Settings`, for a model with `states` states."""
-    horizon = int(own.longest_horizon)
-    moves = min(int(own.most_moves), horizon)
-    limited = has_output_limits(own)
-    terms = int(own.terms) if own.laguerre else moves
-    columns_of_e = terms + (1 if limited else 0)
-    count = ROWS * moves + (2 * horizon if limited else 0)
-    np_, n, m = vectors.padded(horizon), vectors.padded(columns_of_e), vectors.padded(count)
-    sizes = qp.workspace_sizes(columns_of_e, count, hildreth=own.solver != ACTIVE_SET)
-    ws = Workspace(
-        free=np.zeros((slots, states, np_)),
-        step=np.zeros((slots, np_)),
-        moves=np.zeros((columns_of_e, np_)),
-        phi=np.zeros((slots if own.laguerre else 1, columns_of_e, np_)),
-        hessian=qp.aligned((slots, columns_of_e, n)),
-        factor=qp.aligned((slots, *sizes["factor"])),
-        rows=qp.aligned((slots if limited else 1, columns_of_e, m)),
-        bounds=qp.aligned((m,)),
-        reference=np.zeros(np_),
-        error=np.zeros(np_ + n + vectors.WIDTH),
-        change=np.zeros(states),
-        gradient=qp.aligned((n,)),
-        solution=qp.aligned((n,)),
-        multipliers=qp.aligned((m,)),
-        qp_work=qp.aligned((slots, *sizes["work"])),
-        qp_rows=qp.aligned(sizes["rows"]),
-        qp_index=np.zeros((slots, *sizes["index"]), dtype=np.int64),
-    )
-    if own.laguerre:
-        laguerre_moves(horizon, int(own.terms), own.pole, ws.moves)
-    for each in ws.rows:
-        limit_rows(moves, terms, bool(own.laguerre), ws.moves, each)
-    return ws
+Counts = record(
+    "Counts",
+    (
+        "slots",
+        "states", "parameters",  # of the model, and its numbers
+        "turning", "lag",  # numbers of `Turning`, 0: none; s, the lag in it
+        "estimator", "estimates",  # numbers of the estimator, and those that it remembers
+        "learner", "learned",  # likewise; 0: nothing is learned
+        "curved",  # 1: the road ahead may bend
+    ),
+    whole=(
+        "slots", "states", "parameters", "turning", "estimator", "estimates", "learner", "learned", "curved",
+    ),
+)  # fmt: skip
+"""What the sizes of an `Mpc` follow from beside its settings."""
+
+
+@inlined
+def put_sizes(own, counts, table, row):
+    """Sizes of the arrays of an `Mpc` under `Settings`, from a row of a table on, see `layout`; the next row."""
+    slots, n = counts.slots, counts.states
+    horizon, moves = own.longest_horizon, most_moves(own)
+    limited, laguerre, informed = has_output_limits(own), own.laguerre > 0, counts.slots if own.informed > 0 else 0
+    free = (own.terms if laguerre else moves) + (1 if limited else 0)  # variables of the QP
+    count = ROWS * moves + (OUTPUT_ROWS * horizon if limited else 0)
+    np_, nc, m = vectors.padded(horizon), vectors.padded(free), vectors.padded(count)
+    inverses, work, rows, index = qp.workspace_sizes(free, count, own.solver != ACTIVE_SET)
+    row = discrete_sizes(n, table, row)
+    row = put(table, row, counts.parameters)
+    row = put(table, row, n)  # states
+    row = put(table, row, slots)  # memory
+    row = put(table, row, slots, n)  # previous
+    row = put(table, row, slots, nc)  # plan
+    row = put(table, row, slots, len(ANSWER) + (len(learning.BELIEFS) if counts.learner > 0 else 0))
+    row = put(table, row, len(MEASURED))
+    row = put(table, row, bend_size(horizon, own.period, counts.turning, counts.lag) if counts.curved > 0 else 0)
+    row = feed_forward_sizes(counts.turning, horizon + 1 if counts.curved > 0 else 0, table, row)
+    for _ in range(2):  # x, d
+        row = put(table, row, n if own.informed > 0 else 0)
+    row = put(table, row, informed, n, n)  # a
+    row = put(table, row, informed, n)  # b
+    row = put(table, row, counts.estimator)
+    row = put(table, row, slots, counts.estimates)
+    row = put(table, row, counts.learner)
+    row = put(table, row, counts.learned)  # fresh
+    row = put(table, row, slots, counts.learned)
+    row = put(table, row, slots, n, np_)  # free
+    row = put(table, row, slots, np_)  # step
+    row = put(table, row, free, np_)  # moves
+    row = put(table, row, slots if laguerre else 1, free, np_)  # phi
+    row = put(table, row, slots, free, nc)  # hessian
+    row = put(table, row, slots, inverses[0], inverses[1], inverses[2])
+    row = put(table, row, slots if limited else 1, free, m)  # rows
+    row = put(table, row, m)  # bounds
+    row = put(table, row, np_)  # reference
+    row = put(table, row, np_ + nc + vectors.WIDTH)  # error
+    row = put(table, row, n)  # change
+    for _ in range(2):  # gradient, solution
+        row = put(table, row, nc)
+    row = put(table, row, m)  # multipliers
+    row = put(table, row, slots, work[0], work[1], work[2])
+    row = put(table, row, rows[0], rows[1])
+    return put(table, row, slots, index)
+
+
+@inlined
+def complete_settings(own, counts):
+    """Write of the settings what the counts say."""
+    own.learns = 1 if counts.learner > 0 else 0
+    own.curved = counts.curved
+    own.feeds_forward = 1 if counts.curved > 0 and counts.turning > 0 else 0
+
+
+@exported(int64(Row(Settings), Row(Counts), int_matrix), name="mpc_sizes")
+def sizes(own, counts, table):
+    """Write the sizes of the arrays of an `Mpc` and how many there are, see `layout`; complete its settings.
+
+    The settings lie at the beginning of an `Mpc`: these may be those.
+    """
+    complete_settings(own, counts)
+    return put_sizes(own, counts, table, 0)
+
+
+@exported(void(MPC), name="mpc_prepare")
+def prepare(mpc):
+    """Everything in the zeroed memory of an `Mpc` that is not given, before the first step.
+
+    Given are the settings, `parameters`, `states`, the estimator's and the learner's numbers, `fresh` and `turning`.
+    """
+    own, ws = mpc.settings, mpc.ws
+    laguerre, moves, last = own.laguerre > 0, most_moves(own), mpc.states.size - 1
+    for i in range(mpc.states.size):
+        mpc.model.c[i] = 1.0 if i == last else 0.0  # the last state is the output
+    if laguerre:
+        laguerre_moves(own.longest_horizon, own.terms, own.pole, ws.moves)
+    for i in range(len(ws.rows)):
+        limit_rows(moves, own.terms if laguerre else moves, laguerre, ws.moves, ws.rows[i])
+    for slot in range(mpc.memory.size):
+        mpc.memory[slot].speed = math.nan
+        forget(slot, mpc)
 
 
 def batch(
-    slots: int, own: Any, model: tuple[Any, Any, Any, Any], estimator: tuple[Any, int], curved: bool = False,
+    slots: int, own: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int], curved: bool = False,
     learner: tuple[Any, Any] | None = None,
 ) -> Any:  # fmt: skip
     """Fresh MPCs for `slots` slots under `Settings`; curved: whether they drive curved roads.
 
-    model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,), `feed_forward.Turning` (7,) or
-    nothing; estimator: parameters (q,) and length of the memory; learner: parameters and first memory, None: nothing is
-    learned.
+    model: parameters (p,), places of its states in `MEASURED` (n,), `feed_forward.Turning` (7,) or nothing; estimator:
+    parameters (q,) and length of the memory; learner: parameters and first memory, None: nothing is learned.
     """
-    parameters, states, output, turning = model
-    numbers, length = estimator
+    (parameters, states, turning), (numbers, estimates) = model, estimator
     learns, fresh = (np.zeros(0), np.zeros(0)) if learner is None else learner
-    n, informed = len(states), slots if own.informed else 0
-    ws = workspace(slots, n, own)
-    made = Mpc(
-        settings=own._replace(learns=learner is not None),
-        model=discrete(np.zeros((n, n)), np.zeros(n), np.array(output, float)),
-        parameters=np.array(parameters, float),
-        states=np.array(states, np.int64),
-        memory=memory(slots),
-        previous=np.zeros((slots, n)),
-        plan=np.zeros((slots, len(ws.solution))),
-        answer=np.zeros((slots, len(ANSWER) + (0 if learner is None else len(learning.BELIEFS)))),
-        measured=np.zeros(len(MEASURED)),
-        bend=np.zeros(0),
-        feed=feed_forward(turning),
-        informed=Estimating(
-            x=np.zeros(n if informed else 0),
-            d=np.zeros(n if informed else 0),
-            a=np.zeros((informed, n, n)),
-            b=np.zeros((informed, n)),
-            estimator=np.array(numbers, float),
-            estimates=np.zeros((slots, length)),
-            learner=np.array(learns, float),
-            fresh=np.array(fresh, float),
-            learned=np.tile(np.array(fresh, float), (slots, 1)),
-        ),
-        ws=ws,
-    )
-    return on_curved_roads(made) if curved else made
+    counts = Counts(
+        slots, len(states), len(parameters), len(turning), _lag_of(turning), len(numbers), estimates, len(learns),
+        len(fresh), int(curved),
+    )  # fmt: skip
+    made = _room(own, counts)
+    informed = made.informed
+    for room_for, given in (
+        (made.parameters, parameters), (made.states, states), (made.feed.turning, turning),
+        (informed.estimator, numbers), (informed.learner, learns), (informed.fresh, fresh),
+    ):  # fmt: skip
+        room_for[:] = given
+    prepare(made)
+    return made
+
+
+def _room(own: Any, counts: Any) -> Any:
+    """Zeroed memory of MPCs under settings, those completed."""
+    (settled,) = Settings.new(1, **own._asdict())
+    complete_settings(settled, counts)
+    return room(Mpc, put_sizes, settled, counts)._replace(settings=Settings(*settled.tolist()))
+
+
+def _lag_of(turning: Any) -> float:
+    return float(turning_of(turning, 0).lag) if len(turning) else 0.0
 
 
 def on_curved_roads(mpc: Any) -> Any:
     """The same MPCs with room for the road ahead."""
-    horizon, period, turning = int(mpc.settings.longest_horizon), float(mpc.settings.period), mpc.feed.turning
-    return mpc._replace(
-        settings=mpc.settings._replace(curved=1, feeds_forward=int(turning.size > 0)),
-        bend=np.zeros(bend_size(horizon, period, turning)),
-        feed=feed_forward(turning, horizon + 1),
-    )
+    turning = mpc.feed.turning
+    seen = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
+    return mpc._replace(settings=seen.settings, bend=seen.bend, feed=seen.feed._replace(turning=turning))
 
 
-def memory(slots: int) -> Any:
-    """What MPCs remember before their first step, (slots,)."""
-    return MEMORY.new(slots, speed=math.nan)
+@inlined
+def most_moves(own):
+    """The largest Nc."""
+    return min(own.most_moves, own.longest_horizon)
 
 
 @inlined

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel import Caller, address_of, columns, exported, float64, inlined, int64, matrix, record, vector, void
+from ..layout import put, room
 
 SLOTS = 32
 """Vehicles of a batch."""
@@ -81,13 +82,22 @@ Vehicles = record(
 block, own states (SLOTS, n), scratch, initial states (slots, n)."""
 
 
+@inlined
+def vehicle_sizes(slots, parameters, states, table, row):
+    """Sizes of the arrays of `Vehicles`, see `layout`; parameters, states: how many numbers a plant has of them."""
+    row = put(table, row, parameters)
+    row = put(table, row, BLOCK)
+    row = put(table, row, SLOTS, states)
+    row = put(table, row, 7, max(states, STATES))
+    return put(table, row, slots, states)
+
+
 def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
     """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
-    first = np.ascontiguousarray(start, dtype=np.float64)
-    _, n = first.shape
-    own, work = np.zeros((SLOTS, n)), np.zeros((7, max(n, STATES)))
-    functions = map(address_of, (compiled.advance, compiled.observe, compiled.member))
-    return Vehicles(*functions, parameters, np.zeros(BLOCK), own, work, first)
+    slots, n = np.shape(start)
+    made = room(Vehicles, vehicle_sizes, slots, len(parameters), n)
+    made.parameters[:], made.start[:] = parameters, start
+    return made._replace(**{name: address_of(getattr(compiled, name)) for name in ("advance", "observe", "member")})
 
 
 class CompiledPlant(NamedTuple):

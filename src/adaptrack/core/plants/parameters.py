@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..kernel import record, unpacker
 
-PLANT_PARAMETERS = (
+CHASSIS = (
     # body
     "mass",  # kg
     "yaw_inertia",  # kg m^2
@@ -28,6 +28,10 @@ PLANT_PARAMETERS = (
     "brake_limit",  # N
     "drive_front",  # share of the traction on the front axle, 0..1
     "brake_front",  # share of the braking on the front axle, 0..1
+)
+"""Of the car without its tyres and its steering."""
+PLANT_PARAMETERS = (
+    *CHASSIS,
     # tyre
     "tyre_linear",  # 1 linear, 0 Magic Formula
     "stiffness_front",  # N/rad per tyre at the nominal load

@@ -18,6 +18,7 @@ LINEAR, MAGIC_FORMULA, CURVED_MAGIC_FORMULA = 0, 1, 2
 TYRE_NAMES = {LINEAR: "linear", MAGIC_FORMULA: "magic", CURVED_MAGIC_FORMULA: "curved"}
 
 
+@inlined
 def tyre_law(linear: bool, curvature: float) -> int:
     """The law that a tyre's parameters ask for."""
     if linear:

@@ -21,13 +21,8 @@ rounds twice, and the accuracy is that of plain double precision.
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
-import numpy as np
-
 from ..kernel import boolean, columns, cube, float64, inlined, int64, int_vector, matrix, record, several, vector
-from ..maths.vectors import WIDTH, padded
+from ..maths.vectors import padded
 
 SOLVED = 0
 CAPPED = 1
@@ -110,24 +105,15 @@ def factor_of(inverses, condition):
     return Factor(inverses[INVERSE.root], inverses[INVERSE.whole], condition)
 
 
-def workspace_sizes(n_max: int, m_max: int, hildreth: bool = True) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays for up to ``n_max`` variables and ``m_max`` rows: ``factor`` (both inverses), ``work``,
-    ``rows`` and ``index``.
-
-    ``hildreth=False`` leaves out the m_max x m_max matrix H, which only `hildreth` needs.
+@inlined
+def workspace_sizes(n_max, m_max, hildreth):
+    """Shapes of the arrays for up to ``n_max`` variables and ``m_max`` rows: both inverses, then ``work``, ``rows`` and
+    ``index``. Without ``hildreth`` the m_max x m_max matrix H is left out, which only `hildreth` needs.
     """
     width = padded(n_max)
-    return {
-        "factor": (len(INVERSE), n_max, width),
-        "work": (len(PLANE), max(width, len(VECTOR)), width),
-        "rows": (ROW_VECTORS + (n_max + m_max if hildreth else 0), padded(m_max)),
-        "index": (max(n_max, m_max),),
-    }
-
-
-def aligned(shape: tuple[int, ...], dtype: Any = np.float64) -> Any:
-    """A zeroed array that starts on a cache line: loads of eight numbers then touch one line, not two."""
-    size = math.prod(shape)
-    raw = np.zeros(size + WIDTH, dtype=dtype)
-    start = (-raw.ctypes.data // raw.itemsize) % WIDTH
-    return raw[start : start + size].reshape(shape)
+    return (
+        (len(INVERSE), n_max, width),
+        (len(PLANE), max(width, len(VECTOR)), width),
+        (ROW_VECTORS + (n_max + m_max if hildreth else 0), padded(m_max)),
+        max(n_max, m_max),
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, record
+from ..kernel import Row, exported, float64, inlined, int64, record, several
 from ..maths.decimal import to_digits, to_places
 from ..plants.forces import GRAVITY
 
@@ -153,6 +153,36 @@ def complete_car(wheelbase, load, truck, car, within):
     car.yaw_moment_slope = given_or(car.yaw_moment_slope, YAW_MOMENT_SLOPE)
     car.mass = mass + load
     return COMPLETE
+
+
+# -- what a car is to be ----------------------------------------------------------------------------------------------
+INERTIAS, STIFFNESSES = (0.1, 10.0), (1.0, 150.0)
+"""-, of I_z/(m l_f l_r): beyond these one of the numbers is in another unit, or of another car. 1/rad, of a tyre's
+cornering stiffness over its static load; per degree it is 0.1 to 0.5."""
+ONE_CAR, INERTIA_ODD, FRONT_ODD, REAR_ODD = range(4)
+"""What `car_flaw` answers."""
+
+
+@exported(several(float64, float64)(float64, float64, float64))
+def static_loads(mass, lf, lr):
+    """Vertical load (N) of one front and one rear wheel at rest; mass: kg; lf, lr: m."""
+    per_length = 0.5 * mass * GRAVITY / (lf + lr)
+    return per_length * lr, per_length * lf
+
+
+@exported(several(int64, float64)(Row(Car)))
+def car_flaw(car):
+    """`ONE_CAR`, or which number is in another unit than the others, and its ratio, see `INERTIAS`."""
+    index = car.yaw_inertia / (car.mass * car.lf * car.lr)
+    if not INERTIAS[0] <= index <= INERTIAS[1]:
+        return INERTIA_ODD, index
+    front, rear = static_loads(car.mass, car.lf, car.lr)
+    front, rear = car.stiffness_front / front, car.stiffness_rear / rear
+    if not STIFFNESSES[0] <= front <= STIFFNESSES[1]:
+        return FRONT_ODD, front
+    if not STIFFNESSES[0] <= rear <= STIFFNESSES[1]:
+        return REAR_ODD, rear
+    return ONE_CAR, index
 
 
 @exported(float64(Row(Car)))

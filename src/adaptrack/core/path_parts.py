@@ -1,0 +1,25 @@
+"""The parts of a path in the memory of `path.path_through`, for a program that lays them into `road.Roads`."""
+
+from __future__ import annotations
+
+from .kernel import exported, int64, several, vector
+from .maths.bits import whole
+from .path import COLUMNS, cells_of
+from .road import COUNT, LENGTH, NUMBERS
+
+
+@exported(several(int64, int64, int64, int64)(vector))
+def path_parts(memory):
+    """Of a path in the memory of `path.path_through`: its pieces, and where they, their starts and the headings begin.
+
+    There is one start more than pieces; the headings go on to the end of a part of `heading_count`.
+    """
+    count, first = whole(memory[COUNT]), len(NUMBERS)
+    start = first + COLUMNS * count
+    return count, first, start, start + count + 1
+
+
+@exported(int64(vector))
+def heading_count(numbers):
+    """Entries of the table of headings of a road of these numbers (`road.NUMBERS`)."""
+    return cells_of(numbers[LENGTH]) + 1

@@ -1,0 +1,175 @@
+"""The simulated car: plant parameters, integration steps and outline, from chassis, tyre and steering actuator.
+
+    chassis, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
+    delay, dead time           -> dead_periods: `core.loop.SETTINGS.dead_whole` and `dead_share`
+    body, chassis              -> outline_of
+
+Axes of ISO 8855; stiffness and load are those of one tyre.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Row, exported, float64, inlined, int64, packer, record, several, vector, void
+from ..maths.bits import whole
+from ..maths.exact import ceil, square
+from ..plants.parameters import CHASSIS
+from ..plants.tyre import tyre_law
+from .car import static_loads
+from .filter import in_periods
+
+Chassis = record("Chassis", CHASSIS)
+"""Body, air and powertrain of a plant."""
+Tyre = record(
+    "Tyre",
+    (
+        "linear",  # 1: F = C mu alpha, 0: Magic Formula
+        "stiffness_front", "stiffness_rear",  # N/rad, at the nominal load
+        "nominal_load",  # N
+        "stiffness_load",  # `CONSTANT`, ...
+        "digressive_load_ratio",  # -, load over nominal load at which a digressive stiffness peaks
+        "shape_factor", "curvature",  # C and E of the Magic Formula
+        "friction_load_sensitivity",  # -
+        "relaxation_length",  # m, 0: none
+    ),
+    whole=("linear", "stiffness_load"),
+)  # fmt: skip
+"""A tyre, see `adaptrack.cars.vehicle.Tyre`."""
+CONSTANT, LINEAR, DIGRESSIVE = range(3)
+"""How the stiffness depends on the load."""
+Actuator = record("Actuator", ("lag", "rate", "limit", "dead_time", "bias"))
+"""The steering between command and road wheels: s, rad/s, rad, s, rad."""
+
+LONGEST_STEP, STABLE, ROUNDING = 0.0125, 2.2, 1e-9
+"""s; -, step times the fastest rate of a mode, within the region where Runge-Kutta is stable; of a number of steps."""
+SLOWEST = 1.0
+"""m/s, below which no tyre relaxes more slowly."""
+
+Body = record("Body", ("length", "width", "front_overhang", "rear_overhang"))
+"""m, what is known of a car's outline; NaN: not given."""
+Outline = record("Outline", ("front", "rear", "width"))
+"""m, from the centre of mass to either end, and the width without mirrors."""
+LENGTH_OVER_WHEELBASE = 1.65
+"""Length over wheelbase where nobody says length or overhangs: passenger cars have 1.55 to 1.75."""
+FRONT_SHARE = 0.45
+"""Share of the front in what the body is longer than the wheelbase, where nobody says it."""
+WIDER_THAN_TRACK = 0.24
+"""m, by which a body is wider than its larger track, where nobody says its width: mirrors do not count."""
+HOLDS, AXLE_OUTSIDE, LENGTH_DISAGREES = range(3)
+"""What `overhangs` answers: fine; no room for an axle; length, wheelbase and overhangs differ."""
+MATCHING = 0.02
+"""m, by which they may differ."""
+_pack = packer(Chassis)
+
+
+# -- tyre -------------------------------------------------------------------------------------------------------------
+@exported(several(float64, float64, float64)(Row(Tyre)))
+def stiffness_coefficients(tyre):
+    """(s0, s1, s2) of C(F_z)/C = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load: all three laws in one formula."""
+    if tyre.stiffness_load == CONSTANT:
+        return 1.0, 0.0, 0.0
+    if tyre.stiffness_load == LINEAR:
+        return 0.0, 1.0, 0.0
+    s2 = 1.0 / square(tyre.digressive_load_ratio)
+    return 0.0, 1.0 + s2, s2
+
+
+@inlined
+def _stiffness(tyre, stiffness, load):
+    s0, s1, s2 = stiffness_coefficients(tyre)
+    q = load / tyre.nominal_load
+    return stiffness * (s0 + s1 * q) / (1.0 + s2 * square(q))
+
+
+@exported(several(float64, float64)(Row(Tyre), float64, float64))
+def tyre_stiffness(tyre, front_load, rear_load):
+    """Cornering stiffness (N/rad) of one front and one rear tyre at their vertical loads (N)."""
+    return _stiffness(tyre, tyre.stiffness_front, front_load), _stiffness(tyre, tyre.stiffness_rear, rear_load)
+
+
+@exported(int64(Row(Tyre)))
+def plant_law(tyre):
+    """Which plant drives on it: `plants.tyre.LINEAR`, `MAGIC_FORMULA` or `CURVED_MAGIC_FORMULA`."""
+    return tyre_law(tyre.linear > 0, tyre.curvature)
+
+
+# -- plant ------------------------------------------------------------------------------------------------------------
+@exported(void(Row(Chassis), Row(Tyre), Row(Actuator), vector))
+def plant_parameters(chassis, tyre, actuator, parameters):
+    """Write `plants.parameters.PlantParameters`."""
+    _pack(parameters, 0, chassis)
+    p = parameters[len(CHASSIS) :]
+    p[0] = 1.0 if tyre.linear > 0 else 0.0
+    p[1], p[2], p[3] = tyre.stiffness_front, tyre.stiffness_rear, tyre.nominal_load
+    p[4], p[5], p[6] = stiffness_coefficients(tyre)
+    p[7], p[8], p[9] = tyre.shape_factor, tyre.curvature, tyre.friction_load_sensitivity
+    p[10] = tyre.relaxation_length
+    p[11], p[12], p[13] = actuator.lag, actuator.rate, actuator.limit
+
+
+@exported(float64(Row(Chassis), Row(Tyre)))
+def lateral_rate(chassis, tyre):
+    """The fastest rate (1/s) of lateral and yaw motion at 1 m/s, the lowest speed of the slip angles."""
+    front, rear = static_loads(chassis.mass, chassis.lf, chassis.lr)
+    front, rear = tyre_stiffness(tyre, front, rear)
+    front, rear = 2.0 * front, 2.0 * rear
+    turning = front * square(chassis.lf) + rear * square(chassis.lr)
+    return max((front + rear) / chassis.mass, turning / chassis.yaw_inertia)
+
+
+@exported(int64(Row(Chassis), Row(Tyre), int64, float64, float64))
+def plant_substeps(chassis, tyre, relaxes, period, top_speed):
+    """Runge-Kutta steps in a control period (s) that keep every mode stable up to a speed (m/s).
+
+    relaxes: 1: the plant's tyres build up their force over the relaxation length (dual track), 0: at once.
+    """
+    if relaxes > 0 and tyre.relaxation_length > 0.0:
+        rate = max(top_speed, SLOWEST) / tyre.relaxation_length
+    else:
+        rate = lateral_rate(chassis, tyre)
+    steps = max(ceil(period / LONGEST_STEP - ROUNDING), ceil(period * rate / STABLE - ROUNDING))
+    return max(1, whole(steps))
+
+
+@exported(several(int64, float64)(float64, float64, float64))
+def dead_periods(delay, dead_time, period):
+    """From an instant until its command acts: whole control periods (s), and the share of one more.
+
+    delay: control periods of computation; dead_time: s, of the steering.
+    """
+    return in_periods(delay * period + dead_time, period)
+
+
+# -- outline ----------------------------------------------------------------------------------------------------------
+@exported(several(int64, float64, float64)(Row(Body), float64))
+def overhangs(body, wheelbase):
+    """`HOLDS` or what is wrong, and front and rear overhang (m) over a wheelbase (m), estimated where not given."""
+    front, rear = body.front_overhang, body.rear_overhang
+    if not math.isnan(body.length):
+        beyond = body.length - wheelbase
+    elif not (math.isnan(front) or math.isnan(rear)):
+        beyond = front + rear
+    elif not math.isnan(front):
+        beyond = front / FRONT_SHARE
+    elif not math.isnan(rear):
+        beyond = rear / (1.0 - FRONT_SHARE)
+    else:
+        beyond = (LENGTH_OVER_WHEELBASE - 1.0) * wheelbase
+    if math.isnan(front):
+        front = FRONT_SHARE * beyond if math.isnan(rear) else beyond - rear
+    if math.isnan(rear):
+        rear = beyond - front
+    if min(front, rear) < 0.0:
+        return AXLE_OUTSIDE, front, rear
+    return (LENGTH_DISAGREES if abs(front + rear - beyond) > MATCHING else HOLDS), front, rear
+
+
+@exported(int64(Row(Body), Row(Chassis), Row(Outline)))
+def outline_of(body, chassis, outline):
+    """Write the rectangle that a car fills; what is not given is estimated from wheelbase and track. As `overhangs`."""
+    status, front, rear = overhangs(body, chassis.lf + chassis.lr)
+    outline.front, outline.rear, outline.width = chassis.lf + front, chassis.lr + rear, body.width
+    if math.isnan(body.width):
+        outline.width = max(chassis.track_front, chassis.track_rear) + WIDER_THAN_TRACK
+    return status

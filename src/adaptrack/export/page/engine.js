@@ -1,0 +1,405 @@
+// The engine of the page: the closed loops, driven by the kernels. It runs in a worker, or wherever there is a `self`.
+//
+//   -> {type: "load", kernels, data}             the module's bytes, and what Python wrote (`page_data`)
+//                                                <- {type: "loaded"}
+//   -> {type: "start", id, setup}                <- {type: "started", id, period, duration, laps, road, cars, plan}
+//   -> {type: "advance", id, periods}            <- {type: "frames", id, first, count, cars}
+//   -> {type: "change", id, car, what}           <- {type: "changed", id}
+//   -> {type: "read", id, what, text, name}      <- {type: "read", id, what, ...}      what: "car file" or "csv", see inputs.js
+//   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
+//   -> {type: "memory", id}                      <- {type: "memory", id, bytes, all}
+//   -> anything that cannot be                   <- {type: "refused", id, message, where}
+//
+// A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
+// planned moves; a car whose drive has ended gives no more of them and says why. What is changed acts from the next
+// instant on; car: 0, 1, or null for all. The drive that a new one replaces is forgotten; nothing that was posted is kept.
+"use strict";
+
+/** What a user can mend, in words; where: "car", "road", "speed", "profile", "truth", "controller 1", ... */
+class Refusal extends Error {
+  constructor(where, message) {
+    super(message);
+    this.where = where;
+  }
+}
+
+const MOST_PERIODS = 2000; // of an answer
+const MOST_CARS = 2;
+let memory = null, written = null, drive = null;
+
+function load({ kernels, data }) {
+  const module = kernels instanceof WebAssembly.Module ? kernels : new WebAssembly.Module(kernels);
+  memory = new Memory(new WebAssembly.Instance(module).exports, data.layouts, data.calls);
+  written = data;
+  return [{ type: "loaded" }];
+}
+
+// -- a drive ----------------------------------------------------------------------------------------------------------
+function start({ id, setup }) {
+  end();
+  const made = { setup, owned: [], cars: [], done: 0 };
+  try {
+    owning(made.owned, () => begin(made, setup));
+  } finally {
+    drive = made; // what there is of it
+    if (!made.begun) end();
+  }
+  return [owning(made.owned, () => started(id, made))];
+}
+
+function begin(made, setup) {
+  const asked = setup?.controllers;
+  if (!Array.isArray(asked) || asked.length < 1 || asked.length > MOST_CARS) throw new Refusal("controller 1", "Choose one or two controllers.");
+  const seed = Number(setup.seed ?? 0);
+  if (!(Number.isSafeInteger(seed) && seed >= 0)) throw new Refusal("seed", `The seed is ${setup.seed}: it must be a whole number of at least 0.`);
+  const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
+  const samples = samplesOf(setup, of, car, world);
+  Object.assign(made, { world, car, of, samples, seed });
+  asked.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
+  made.begun = true;
+}
+
+/** A car of its own with its controller, before its first instant. */
+function carRun(entry, made, where) {
+  const { world, car, samples } = made, actuator = copied("synthesis.plant.Actuator", world.actuator.$numbers);
+  const own = { entry: { ...entry }, where, world: { ...world, settings: { ...world.settings }, actuator }, sensors: {}, made: [], shown: null };
+  made.cars.push(own);
+  own.plant = plantOf(car, own.world, topSpeedOf(samples));
+  own.measured = mine(memory.array("F", [written.sizes.measured]));
+  own.span = mine(memory.row("period.Span", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
+  owning(own.made, () => {
+    const controller = controllerOf(entry, car, own.world, where);
+    Object.assign(own, ready(own, controller, made));
+  });
+  own.columns = [...written.frame, ...own.parts.said];
+  own.horizon = own.run.mpc.settings.longest_horizon;
+  own.moves = own.run.mpc.settings.most_moves;
+}
+
+/** A run with a controller, before its first instant. */
+function ready(own, controller, made) {
+  const parts = laid(controller, made.of);
+  const run = memory.make("rollout.Run", runOf({ ...own, controller, parts }, made));
+  memory.call("mpc_prepare", run.mpc);
+  memory.call("begin_runs", 1, run);
+  return { controller, parts, run };
+}
+
+function topSpeedOf({ signals }) {
+  const [, count] = signals.shape;
+  return view(signals, written.places.signal.speed * count, [count]).values.reduce((most, each) => Math.max(most, each), 0);
+}
+
+/** All that a run is made of. */
+function runOf({ controller, parts, plant, measured, world }, { car, of, samples, seed }) {
+  const { sizes } = written, { signals } = samples, law = Boolean(controller.law), { schedule } = controller;
+  const [rows, count] = signals.shape, speed = view(signals, written.places.signal.speed * count, [1]).values[0];
+  const first = new Float64Array(sizes.own_states);
+  first.set([...samples.pose, speed]);
+  const size = (array) => array?.shape[0] ?? 0, roads = of.test ? NO_ROAD : of.roads;
+  const counts = {
+    ...parts.counts,
+    loop: {
+      slots: 1, parameters: sizes.parameters, states: sizes.own_states, scenarios: 1, samples: count, roads: size(roads.numbers),
+      starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
+      dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1, past: world.remembered,
+    },
+    ...(schedule ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) } : {}),
+  };
+  return runOfSizes(parts.settings, counts, {
+    settings: settingsOf(car, world, plant.substeps),
+    features: { late: world.remembered > 0 ? 1 : 0, variables: schedule ? 1 : 0, estimates: 0, traces: 0, law: law ? 1 : 0 },
+    vehicles: { advance: linked(plant.functions.advance), observe: linked(plant.functions.observe), member: 0, parameters: share(plant.parameters), start: first },
+    given: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
+    measured: share(measured), ceiling: [NaN], mpc: { ...parts.values.mpc, measured: share(measured) },
+    functions: controller.known.functions ? { discretise: linked(controller.known.functions.discretise), estimate: linked(controller.known.functions.estimate) } : {},
+    law: parts.values.law, schedule: schedule ?? written.no_schedule, tuning: controller.tuning,
+  });
+}
+const linked = (name) => ({ function: name });
+const NO_ROAD = { of: [-1n] };
+
+function end() {
+  for (const own of drive?.cars ?? []) {
+    [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
+    forget(own.made);
+  }
+  if (drive) forget(drive.owned);
+  drive = null;
+}
+
+function started(id, { world, of, samples, cars, car }) {
+  const { plan, laps, duration } = samples;
+  return {
+    type: "started", id, period: world.period, duration, laps, road: drawn(of),
+    plan: plan && { s: plan.s.values.slice(), speed: plan.speed.values.slice() },
+    cars: cars.map((own) => ({
+      name: own.entry.kind, words: own.controller.known.words, columns: own.columns, horizon: own.horizon, moves: own.moves,
+      outline: car.outline, limits: limitsOf(own), tuning: namedTuning(own), belief: beliefOf(own), truth: truthOf(own.world),
+    })),
+  };
+}
+
+/** What bounds a controller, to either side: changes of its command in a period and the command (rad); horizons. */
+function limitsOf(own) {
+  const { known, law } = own.controller, from = law ? known.common : own.run.mpc.settings;
+  return { move: real(from.move_max), angle: real(from.angle_max), Np: own.horizon, Nc: own.moves };
+}
+const namedTuning = (own) => Object.fromEntries(own.controller.known.tuning_names.map((name, k) => [name, own.controller.tuning[k]]));
+/** What a controller believes of the steering at first: lag, dead time (s); null where it does not say. */
+function beliefOf({ controller }) {
+  if (!controller.parts) return null;
+  const { lag, dead_time } = controller.parts.belief;
+  return { lag, dead_time };
+}
+const truthOf = ({ actuator }) => ({ lag: actuator.lag, dead_time: actuator.dead_time, bias: actuator.bias });
+
+// -- frames -----------------------------------------------------------------------------------------------------------
+/** Room for what so many periods show. */
+function room(own, count) {
+  if ((own.shown?.[0].shape[0] ?? 0) >= count) return own.shown;
+  (own.shown ?? []).forEach((each) => memory.free(each));
+  return (own.shown = [own.columns.length, 2 * own.horizon, own.moves].map((width) => memory.array("F", [count, width])));
+}
+
+function advance({ id, periods }) {
+  const count = Math.max(0, Math.min(Math.floor(Number(periods)) || 0, MOST_PERIODS)), first = current().done;
+  const cars = drive.cars.map((own) => advanceCar(own, count));
+  const most = Math.max(...cars.map((each) => each.count));
+  drive.done += most;
+  return [{ type: "frames", id, first, count: most, cars }];
+}
+
+function current() {
+  if (!drive) throw new Refusal("drive", "Nothing is being driven: set up a drive first.");
+  return drive;
+}
+
+function advanceCar(own, count) {
+  const [numbers, predicted, moves] = room(own, Math.max(count, 1));
+  let driven = 0;
+  while (driven < count) {
+    const wanted = Math.min(count - driven, pulledFor(own));
+    const more = memory.call("drive_and_show", wanted, own.span, own.run, below(numbers, driven), below(predicted, driven), below(moves, driven));
+    driven += more;
+    afterPull(own, more);
+    if (more < wanted) break;
+  }
+  const cut = (block) => block.values.slice(0, driven * block.shape[1]);
+  return {
+    count: driven, numbers: cut(numbers), predicted: new Float32Array(cut(predicted)), moves: new Float32Array(cut(moves)),
+    ended: ending(own),
+  };
+}
+/** The rows of a table from one on. */
+const below = (block, row) => view(block, row * block.shape[1], [block.shape[0] - row, block.shape[1]]);
+
+const ENDINGS = ["It came to the end.", "It left the road.", "It spun.", "Its motion is no number any more.",
+  "It never came near the road.", "It was stopped."];
+
+/** Why and when a car has ended; null while it drives. */
+function ending({ run, span }) {
+  const own = run.memory.own.row(0);
+  if (own.ended === 0 && own.instant < span.periods) return null;
+  return { at: own.ended === 0 ? span.periods * run.settings.period : own.ended_at, why: ENDINGS[own.ended], kind: own.ended };
+}
+
+// -- touching ---------------------------------------------------------------------------------------------------------
+function change({ id, car, what }) {
+  const touched = current().cars.filter((_, k) => car === null || car === undefined || car === k);
+  if (!touched.length) throw new Refusal("drive", `There is no car ${car}.`);
+  for (const [name, value] of Object.entries(what ?? {})) {
+    const touch = TOUCHES[name];
+    if (!touch) throw new Refusal("drive", `Nothing is known of a change of “${name}”.`);
+    touch(touched, value);
+  }
+  return [{ type: "changed", id }];
+}
+
+const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors };
+
+function tuning(cars, given) {
+  for (const own of cars) {
+    const { controller, where } = own;
+    if (controller.schedule) throw new Refusal(where, "Its schedule chooses the tuning of this controller at every instant.");
+    if (controller.law) throw new Refusal(where, "This controller has no horizons and weights.");
+    const [Np, Nc, Q, R] = checkedTuning({ ...namedTuning(own), ...given }, where);
+    if (Np > own.horizon || Nc > own.moves) throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${own.horizon} and ${own.moves}.`);
+    controller.tuning = [Np, Nc, Q, R];
+    own.run.tuning.values.set(controller.tuning);
+  }
+}
+
+/** Another belief: the controller is made anew, but for its command, its plan and its tuning. */
+function belief(cars, given) {
+  for (const own of cars) {
+    const { controller, where, entry } = own, made = [];
+    if (!controller.order) throw new Refusal(where, "This controller believes nothing of the steering.");
+    const believed = { ...entry.belief, ...given };
+    owning(made, () => {
+      const other = controllerOf({ ...entry, belief: believed, tuning: null }, drive.car, own.world, where);
+      other.settings.$set({ longest_horizon: own.horizon, most_moves: own.moves });
+      exchange(own, { ...other, tuning: controller.tuning });
+    });
+    forget(own.made);
+    own.made = made;
+    entry.belief = believed;
+  }
+}
+
+/** Put another controller into a run that goes on. */
+function exchange(own, controller) {
+  const old = own.run, kept = old.mpc.memory.row(0).$numbers;
+  const other = ready(own, controller, drive), { run } = other;
+  for (const name of ["vehicles", "memory", "given", "schedule"]) keepArrays(run[name], old[name]);
+  run.settings.$copy(old.settings);
+  run.result.row(0).$copy(old.result.row(0));
+  const { command, reference, planned, age } = kept;
+  run.mpc.memory.row(0).$set({ command, reference, planned, age });
+  run.mpc.plan.values.set(old.mpc.plan.values.subarray(0, run.mpc.plan.values.length));
+  memory.free(old);
+  Object.assign(own, other);
+}
+/** Take over the contents of the arrays of a record that were laid alike. */
+function keepArrays(record, other) {
+  for (const [field, [, kind]] of Object.entries(record.$layout.fields)) {
+    if (!"FIR".includes(kind) || record[field].at === other[field].at) continue;
+    const from = other[field], to = record[field];
+    memory.whole.copyWithin(to.at / WORD, from.at / WORD, from.at / WORD + Math.min(from.words, to.words));
+  }
+}
+
+/** The world as it truly is. */
+function truth(cars, given) {
+  for (const own of cars) {
+    const before = own.run.settings.steering_lag;
+    changeTruth(own.world, given);
+    applyTruth(own, before);
+  }
+  if ("friction" in given) everywhere(WHEELS, "known_friction", given.friction, "friction");
+  if ("wind" in given) everywhere(["wind_y"], "known_wind", given.wind, "wind");
+}
+function applyTruth(own, lagBefore) {
+  const { run, plant } = own, settings = settingsOf(drive.car, own.world, plant.substeps);
+  for (const name of Object.keys(own.sensors)) settings[`noise_${name}`] = Infinity;
+  if (own.pull) settings.steering_bias += own.pull.angle;
+  const angle = wheelAngle(own);
+  run.settings.$set(settings);
+  const { chassis, tyre } = drive.car.rows;
+  memory.call("plant_parameters", chassis, tyre, own.world.actuator, plant.parameters);
+  if (!(lagBefore > 0) && settings.steering_lag > 0) setState(own, "steering", angle);
+}
+
+/** Values of signals from now on, for all cars: as they were planned where null is given. */
+function everywhere(rows, known, value, name) {
+  const [, count] = drive.samples.signals.shape, { signal } = written.places;
+  drive.planned ??= {};
+  const put = (row) => {
+    const target = view(drive.samples.signals, signal[row] * count, [count]).values;
+    drive.planned[row] ??= target.slice();
+    if (value === null) target.set(drive.planned[row]);
+    else target.fill(checked("truth", name, value));
+  };
+  [...rows, known].forEach(put);
+}
+
+const inBlock = (row) => row * written.places.slots;
+const setState = (own, name, value) => (own.run.vehicles.block.values[inBlock(written.places.state[name])] = value);
+const stateOf = (own, name) => own.run.vehicles.block.values[inBlock(written.places.state[name])];
+/** Where the wheels of a car without lag are: at the command that acts. */
+const wheelAngle = (own) => own.run.vehicles.block.values[inBlock(written.places.states + written.places.input.command)];
+
+function push(cars, { vy = 0, yaw_rate = 0 }) {
+  const pushed = { vy: checked("push", "vy", vy), yaw_rate: checked("push", "yaw_rate", yaw_rate) };
+  for (const own of cars)
+    for (const [name, by] of Object.entries(pushed)) setState(own, name, stateOf(own, name) + by);
+}
+
+function pull(cars, { angle, duration }) {
+  const pulled = { angle: checked("pull", "angle", angle), duration: checked("pull", "duration", duration) };
+  for (const own of cars) {
+    own.pull = { angle: pulled.angle, left: Math.round(pulled.duration / own.world.period) };
+    applyTruth(own, own.run.settings.steering_lag);
+  }
+}
+/** Periods until the wheel is let go. */
+const pulledFor = (own) => (own.pull ? Math.max(own.pull.left, 1) : Infinity);
+function afterPull(own, driven) {
+  if (!own.pull) return;
+  own.pull.left -= driven;
+  if (own.pull.left > 0) return;
+  own.pull = null;
+  applyTruth(own, own.run.settings.steering_lag);
+}
+
+/** A patch of ice between two stations (m) of the road, on every lap. */
+function ice(cars, { from, to, friction }) {
+  if (drive.of.test) throw new Refusal("ice", "The paper's tests have no stations: lay ice on a road.");
+  const { length, closed } = drive.of, slippery = checked("ice", "friction", friction);
+  if (!(from >= 0 && to > from && to <= length)) throw new Refusal("ice", `The ice lies from ${from} to ${to} m: it must lie on the road, 0 to ${length.toFixed(1)} m.`);
+  const { signals } = drive.samples, [, count] = signals.shape, { signal } = written.places;
+  const row = (name) => view(signals, signal[name] * count, [count]).values, station = row("station");
+  const rows = [...WHEELS, "known_friction"].map(row);
+  for (let k = 0; k < count; k++) {
+    const place = closed ? station[k] % length : station[k];
+    if (place >= from && place <= to) for (const each of rows) each[k] = slippery;
+  }
+}
+
+const SENSORS = ["vy", "yaw", "yaw_rate", "y", "wheel_angle", "lateral_acceleration"];
+function sensors(cars, given) {
+  for (const name of Object.keys(given)) if (!SENSORS.includes(name)) throw new Refusal("sensors", `There is no sensor “${name}”.`);
+  for (const own of cars) {
+    for (const [name, on] of Object.entries(given)) {
+      if (on) delete own.sensors[name];
+      else own.sensors[name] = "off";
+    }
+    applyTruth(own, own.run.settings.steering_lag);
+  }
+}
+
+// -- reading and writing ----------------------------------------------------------------------------------------------
+const READERS = {
+  "car file": ({ text, name }) => ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name })) }),
+  csv: ({ text, name, closed }) => {
+    const { points, ...road } = readBy("road", () => inputs.readPoints(text, written.inputs, { name, closed }));
+    return { ...road, points: Array.from({ length: points.length / 2 }, (_, k) => [points[2 * k], points[2 * k + 1]]) };
+  },
+};
+function read(message) {
+  const reader = READERS[message.what];
+  if (!reader) throw new Refusal("read", `Nothing is known of reading “${message.what}”.`);
+  return [{ type: "read", id: message.id, what: message.what, ...reader(message) }];
+}
+/** A drive as text: columns are those of its frames, one behind the other. */
+function write({ id, what, columns }) {
+  const count = Math.max(0, ...Object.values(columns).map((each) => each.length));
+  return [{ type: "written", id, what, text: inputs.writeDrive({ cars: [{ columns, count }] }, 0, written.inputs) }];
+}
+
+// -- messages ---------------------------------------------------------------------------------------------------------
+/** Bytes of the kernels' memory that are in use, and of all of it. */
+const used = ({ id }) => [{ type: "memory", id, bytes: memory.used, all: memory.exports.memory.buffer.byteLength }];
+
+const ANSWERS = { load, start, advance, change, read, write, memory: used };
+
+function answers(message) {
+  const answer = ANSWERS[message?.type];
+  if (!answer) return [{ type: "refused", id: message?.id, message: `Nothing is known of a message “${message?.type}”.`, where: "engine" }];
+  try {
+    return answer(message);
+  } catch (error) {
+    const known = error instanceof Refusal;
+    return [{ type: "refused", id: message.id, message: known ? error.message : `The engine failed: ${error.message}`, where: known ? error.where : "engine" }];
+  }
+}
+
+/** The buffers of a message, which are handed over and not copied. */
+function buffersOf(value) {
+  if (ArrayBuffer.isView(value)) return [value.buffer];
+  return value && typeof value === "object" ? Object.values(value).flatMap(buffersOf) : [];
+}
+
+self.onmessage = ({ data }) => {
+  for (const message of answers(data)) self.postMessage(message, buffersOf(message));
+};

@@ -1,0 +1,486 @@
+// From a setup to what the kernels drive: car, world, road, speed, controller. All numbers are made by kernels.
+//
+//   carOf(setup.car)                            -> { name, numbers, rows, outline, domain }
+//   worldOf(setup.profile, setup.truth)         -> { period, settings, actuator, ... }
+//   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
+//   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
+//   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
+//
+// What they lay into memory is given back by `forget(list)`, where `owning(list, make)` has called them.
+"use strict";
+
+let owned = [];
+/** Whatever a function makes belongs to a list; where it fails, nothing stays. */
+function owning(list, make) {
+  const before = owned;
+  owned = list;
+  try {
+    return make();
+  } catch (error) {
+    forget(list);
+    throw error;
+  } finally {
+    owned = before;
+  }
+}
+function mine(made) {
+  owned.push(made);
+  return made;
+}
+function forget(list) {
+  list.splice(0).forEach((each) => memory.free(each));
+}
+
+/** A number as Python writes it: JSON has no infinity. */
+const real = (value) => (typeof value === "string" ? Number(value) : value ?? NaN);
+
+/** A record of numbers, each field that of the same name in one of some tables, NaN (0 where whole) in none of them. */
+function copied(name, ...tables) {
+  const row = mine(memory.row(name));
+  for (const [field, [, kind]] of Object.entries(memory.layouts[name].fields)) {
+    if (kind !== "f" && kind !== "i") continue;
+    const table = tables.find((each) => each?.[field] !== undefined && each[field] !== null);
+    const value = table === undefined ? NaN : real(table[field]);
+    row[field] = kind === "i" ? (Number.isNaN(value) ? 0 : Number(value)) : value;
+  }
+  return row;
+}
+/** A record of records and numbers, from a table of the same form. */
+function filled(row, table) {
+  for (const [field, value] of Object.entries(table)) {
+    const [, kind] = row.$layout.fields[field];
+    if (kind === "r") filled(row[field], value);
+    else if (kind === "W") row[field].set(value.map(real));
+    else row[field] = kind === "i" ? Number(value) : real(value);
+  }
+  return row;
+}
+const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Array.from(values, real)));
+
+// -- car --------------------------------------------------------------------------------------------------------------
+/** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
+function carOf(given) {
+  if (given?.sheet) return carOfSheet(given.sheet);
+  if (given?.file) return carOfFile(given.file);
+  const known = written.cars[given?.name];
+  if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
+  return carOfFile(known);
+}
+
+/** What throws InputErrors, as a refusal. */
+function readBy(where, read) {
+  try {
+    return read();
+  } catch (error) {
+    if (error instanceof inputs.InputError) throw new Refusal(where, error.message);
+    throw error;
+  }
+}
+const refuseFlaw = (where, flaw) => {
+  if (flaw) throw new Refusal(where, flaw);
+};
+
+function carOfSheet(typed) {
+  const sheet = readBy("car", () => inputs.readSheet(typed, written.inputs));
+  const row = copied("synthesis.car.Car", { ...sheet.known, mass: sheet.mass }), within = copied("synthesis.car.KnownWithin");
+  const status = memory.call("complete_car", sheet.wheelbase, sheet.load, sheet.truck, row, within);
+  refuseFlaw("car", inputs.sheetFlaw(status, sheet, written.inputs));
+  return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
+}
+
+function carOfFile(car) {
+  const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
+  const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
+  const [flaw, ratio] = memory.call("car_flaw", row);
+  refuseFlaw("car", inputs.carFlaw(flaw, ratio, car, memory.call("static_loads", row.mass, row.lf, row.lr), written.inputs));
+  return carOfRows(car, row, within);
+}
+
+function carOfRows(car, row, within) {
+  const rows = {
+    car: row, within, file: copied("synthesis.car.Steering", car.steering), chassis: copied("synthesis.plant.Chassis", car.numbers),
+    tyre: copied("synthesis.plant.Tyre", car.tyre.numbers), body: copied("synthesis.plant.Body", car.body),
+  };
+  const outline = copied("synthesis.plant.Outline"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
+  const [status, front, rear] = memory.call("overhangs", rows.body, lf + lr);
+  refuseFlaw("car", inputs.outlineFlaw(status, front, rear, car, written.inputs));
+  memory.call("outline_of", rows.body, rows.chassis, outline);
+  const plain = mine(memory.array("F", [written.sizes.parameters]));
+  memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", written.ideal), plain);
+  return { name: car.name, rows, plain, domain: car.domain, outline: { ...outline.$numbers, lf, lr, track_front, track_rear } };
+}
+
+// -- world ------------------------------------------------------------------------------------------------------------
+const STEERING = ["lag", "dead_time", "bias"];
+
+function worldOf(name, truth) {
+  const known = written.profiles[name];
+  if (!known) throw new Refusal("profile", `There is no profile named “${name}”: choose one of ${Object.keys(written.profiles).join(", ")}.`);
+  const { period, delay, remembered, plants } = known;
+  const world = {
+    name, period, delay, remembered, plants, usual: known.settings, sees_vy: real(known.settings.noise_vy) < Infinity,
+    actuator: copied("synthesis.plant.Actuator", known.actuator), usual_actuator: known.actuator,
+    settings: Object.fromEntries(Object.entries(known.settings).map(([key, value]) => [key, real(value)])),
+  };
+  changeTruth(world, truth ?? {});
+  return world;
+}
+
+/** Take over a changed truth: steering and noise; what is null is as the profile says. */
+function changeTruth(world, truth) {
+  for (const name of STEERING) {
+    if (!(name in truth)) continue;
+    const usual = real(world.usual_actuator[name]);
+    world.actuator[name] = truth[name] == null ? usual : checked("truth", name, truth[name]);
+  }
+  if ("noise" in truth) {
+    const factor = truth.noise == null ? 1 : checked("truth", "noise", truth.noise);
+    for (const name of Object.keys(world.settings).filter((each) => each.startsWith("noise_"))) {
+      const usual = real(world.usual[name]);
+      if (usual < Infinity) world.settings[name] = usual * factor;
+    }
+  }
+}
+
+/** The settings of the loop for a car up to a speed (m/s), and the plant's parameters and functions. */
+function plantOf(car, world, topSpeed) {
+  const { chassis, tyre } = car.rows, { actuator, period } = world;
+  const parameters = mine(memory.array("F", [written.sizes.parameters]));
+  memory.call("plant_parameters", chassis, tyre, actuator, parameters);
+  const substeps = memory.call("plant_substeps", chassis, tyre, 1, period, topSpeed);
+  return { parameters, substeps, functions: world.plants[memory.call("plant_law", tyre)] };
+}
+function settingsOf(car, world, substeps) {
+  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit } = car.rows.chassis;
+  const [dead_whole, dead_share] = memory.call("dead_periods", delay, actuator.dead_time, period);
+  return {
+    ...world.settings, substeps, dead_whole, dead_share, steering_lag: actuator.lag, steering_limit: actuator.limit,
+    steering_bias: actuator.bias, mass, engine_power, traction_limit, brake_limit,
+    failure_distance: car.domain.failure_distance,
+  };
+}
+
+// -- road -------------------------------------------------------------------------------------------------------------
+function roadOf(given) {
+  if (given?.test !== undefined) return testOf(given.test);
+  if (Array.isArray(given?.points)) return roadThrough(given);
+  const known = written.roads[given?.name];
+  if (!known) throw new Refusal("road", `There is no road named “${given?.name}”: choose one of ${Object.keys(written.roads).join(", ")}.`);
+  const arrays = ["numbers", "start", "pieces"].map((name) => mine(memory.array("F", known[name].shape, unpackedNumbers(known[name].f8))));
+  const numbers = view(arrays[0], 0, [written.sizes.road_numbers]);
+  const headings = mine(memory.array("F", [memory.call("heading_count", numbers)]));
+  return road({ ...known, name: given.name }, numbers, arrays[1], arrays[2], headings, true);
+}
+
+/** A part of an array as an array of its own. */
+const view = (block, first, shape) => new Block(memory, block.at + WORD * first, "F", shape);
+
+function road(said, numbers, start, pieces, headings, fresh) {
+  const line = mine(memory.make("road.Centreline", { start: share(start), pieces: share(pieces), numbers: share(view(numbers, 0, [4])) }));
+  if (fresh) memory.call("headings_along", line, headings);
+  const { name, width_left, width_right, speed_limit, friction } = said;
+  return {
+    name, line, width_left, width_right, speed_limit, friction, closed: numbers.values[1] > 0.5, length: numbers.values[0],
+    roads: {
+      numbers: share(view(numbers, 0, [1, written.sizes.road_numbers])), start: share(start),
+      pieces: share(pieces), headings: share(headings),
+    },
+  };
+}
+
+const MOST_POINTS = 20000, MOST_WORDS = 2e7;
+function roadThrough({ points, closed = false, name = "points" }) {
+  const refuse = (text) => { throw new Refusal("road", text); };
+  if (points.length > MOST_POINTS) refuse(`The road has ${points.length} points: at most ${MOST_POINTS} are taken; leave out some.`);
+  const flat = Float64Array.from(points.flatMap((each) => [Number(each?.[0]), Number(each?.[1])]));
+  const given = mine(memory.array("F", [points.length, 2], flat));
+  let size = memory.call("path_words", given, closed ? 1 : 0);
+  for (;;) {
+    if (size > MOST_WORDS) refuse("The road is too long: its points may be in millimetres. Give x and y in metres.");
+    const path = mine(memory.array("F", [Math.max(size, 1)]));
+    const [status, found] = memory.call("path_through", given, closed ? 1 : 0, path);
+    if (status === written.inputs.answers.path_through.TOO_SMALL) {
+      size *= 2;
+      continue;
+    }
+    refuseFlaw("road", inputs.roadFlaw(status, found, { count: points.length }, written.inputs));
+    const [count, piece, start, heading] = memory.call("path_parts", path), numbers = view(path, 0, [written.sizes.road_numbers]);
+    if (numbers.values[0] > written.bounds.road_length[1]) refuse(`The road is ${Math.round(numbers.values[0])} m long: at most ${written.bounds.road_length[1]} m are driven.`);
+    return road({ ...written.road_defaults, name }, numbers, view(path, start, [count + 1]),
+      view(path, piece, [count, written.sizes.piece]), view(path, heading, [memory.call("heading_count", numbers)]), false);
+  }
+}
+
+function testOf(name) {
+  const known = written.tests[name];
+  if (!known) throw new Refusal("road", `There is no test named “${name}”: choose one of ${Object.keys(written.tests).join(", ")}.`);
+  return { ...known, name, test: true, closed: false };
+}
+
+/** Centre line and edges, for drawing. */
+function drawn(of) {
+  if (of.test) return drawnTest(of);
+  const count = Math.max(2, Math.min(Math.ceil(of.length / 2), 20000)) + 1;
+  const s = vectorOf(Array.from({ length: count }, (_, k) => (of.length * k) / (count - 1)));
+  const points = mine(memory.array("F", [count, 4])), edges = mine(memory.array("F", [count, 4]));
+  memory.call("points_at", of.line, s, points);
+  memory.call("road_edges", of.line, constantAlong(of.width_left), constantAlong(of.width_right), s, edges);
+  const column = (block, k) => Float64Array.from({ length: count }, (_, i) => block.values[4 * i + k]);
+  const [x, y] = [0, 1].map((k) => column(points, k));
+  const [left_x, left_y, right_x, right_y] = [0, 1, 2, 3].map((k) => column(edges, k));
+  return { name: of.name, closed: of.closed, length: of.length, s: s.values.slice(), x, y, left_x, left_y, right_x, right_y };
+}
+function drawnTest(of) {
+  const [x, y] = ["x", "y"].map((name) => unpackedNumbers(of[name].f8));
+  const beside = (by) => Float64Array.from(y, (each) => each + by);
+  return {
+    name: of.name, closed: false, length: x.at(-1), s: x.slice(), x, y, left_x: x.slice(), left_y: beside(of.width_left),
+    right_x: x.slice(), right_y: beside(-of.width_right),
+  };
+}
+
+// -- speed and samples ------------------------------------------------------------------------------------------------
+/** A quantity of one value all along a road; Infinity: none is given. */
+const alongOf = (value) =>
+  value < Infinity ? { s: { shape: [1] }, value: { shape: [1], values: [value] } } : { s: { shape: [0] }, value: { shape: [0] } };
+const constantAlong = (value) => mine(memory.make("planning.along.Along", alongOf(value)));
+
+const AN_HOUR = 3600, MOST_SAMPLES = 200000;
+const PLANNED = 0;
+
+/** How fast a road is driven: { table, plan (for RoadDrive), duration }. */
+function planOf(speed, of, car, world) {
+  const line = of.line, numbers = { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) };
+  const route = { line: numbers, friction: alongOf(of.friction), bank: alongOf(0), speed_limit: alongOf(of.speed_limit) };
+  const spacing = real(written.comfort.spacing), none = vectorOf([]);
+  const places = memory.call("plan_places", line.start, spacing, none, none);
+  if (!places) throw new Refusal("speed", "No speed can be planned on this road: its length is no number.");
+  const table = mine(memory.array("F", [written.sizes.plan, places]));
+  const planning = mine(memory.make("planning.speed.Planning", { route, car: share(car.plain), table: share(table) }));
+  filled(planning.bounds, { ...written.comfort, domain_speed: car.domain.speed[1], steering_limit: car.rows.file.limit });
+  const duration = speed?.constant !== undefined ? constantPlan(speed.constant, planning) : lateralPlan(speed?.lateral, planning);
+  if (!(duration > 0 && duration < Infinity)) throw new Refusal("speed", "The plan never arrives: somewhere its speed is 0.");
+  const row = (name) => view(table, written.places.plan[name] * places, [places]);
+  return { route, places, table, s: row("s"), speed: row("speed"), time: row("time"), duration };
+}
+
+function constantPlan(speed, planning) {
+  return memory.call("plan_constant", checked("speed", "constant", speed), planning);
+}
+function lateralPlan(lateral, planning) {
+  planning.bounds.lateral = checked("speed", "lateral", lateral);
+  const [status, place, value, duration] = memory.call("plan_along_road", planning);
+  if (status === PLANNED) return duration;
+  const s = planning.table.values[written.places.plan.s * planning.table.shape[1] + place];
+  throw new Refusal("speed", written.words.plan[status].replace("{s}", s.toFixed(1)).replace("{value}", value.toPrecision(3)));
+}
+
+/** A number within its bounds. */
+function checked(where, name, value) {
+  const [low, high] = written.bounds[name], found = value === null ? NaN : Number(value);
+  if (found >= low && found <= high) return found;
+  throw new Refusal(where, `${written.words.named[name]} is ${value}: it must be a number from ${low} to ${high}.`);
+}
+
+/** What happens at the instants: { signals, periods, plan, laps, pose, duration }. */
+function samplesOf(setup, of, car, world) {
+  if (of.test) return samplesOfTest(of, world, setup.truth ?? {});
+  const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
+  const laps = of.closed ? Math.max(1, Math.floor(AN_HOUR / plan.duration)) : 1;
+  const periods = memory.call("drive_periods", plan.duration, laps, period);
+  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods: 1 to ${MOST_SAMPLES} are possible.`);
+  const route = { ...plan.route, friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)) };
+  const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
+  const drive = mine(memory.make("planning.drive.RoadDrive", {
+    route, period, plan: { s: share(plan.s), speed: share(plan.speed), time: share(plan.time), duration: plan.duration, closed: of.closed ? 1 : 0 },
+    reference: share(vectorOf([0])), wind_x: share(vectorOf([0])), wind_y: share(vectorOf([wind])),
+  }));
+  const signals = mine(memory.array("F", [written.sizes.signals, periods + 1])), pose = mine(memory.array("F", [3]));
+  memory.call("drive_samples", drive, signals);
+  memory.call("drive_start", of.line, 0, 0, pose);
+  return { signals, periods, plan, laps, pose: [...pose.values], duration: periods * period };
+}
+
+/** The samples of a test: what is known of it, completed by the kernel. */
+function samplesOfTest(of, world, truth) {
+  const every = Math.round(world.period / of.period), periods = Math.floor((of.samples - 1) / every), count = periods + 1;
+  const signals = mine(memory.array("F", [written.sizes.signals, count])), { signal } = written.places;
+  const put = (name, from, fixed) => {
+    const values = fixed == null ? unpackedNumbers(of[from].f8) : null, target = view(signals, signal[name] * count, [count]).values;
+    for (let k = 0; k < count; k++) target[k] = values ? values[every * k] : fixed;
+  };
+  put("y_ref", "y_ref");
+  put("speed", "speed");
+  for (const wheel of WHEELS) put(wheel, "friction", truth.friction == null ? null : checked("truth", "friction", truth.friction));
+  put("wind_y", "wind", truth.wind == null ? null : checked("truth", "wind", truth.wind));
+  memory.call("complete_samples", world.period, signals);
+  return { signals, periods, plan: null, laps: 1, pose: of.start, duration: periods * world.period };
+}
+const WHEELS = ["friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"];
+
+// -- controller -------------------------------------------------------------------------------------------------------
+/** A controller of a setup: an MPC or a law, ready to be laid into a run. */
+function controllerOf(entry, car, world, where) {
+  const known = written.controllers[entry?.kind]?.[world.name];
+  if (!known) throw new Refusal(where, `There is no controller of the kind “${entry?.kind}”: choose one of ${Object.keys(written.controllers).join(", ")}.`);
+  if (known.refused) throw new Refusal(where, known.refused);
+  return known.common ? lawOf(entry, known, car, where) : mpcOf(entry, known, car, world, where);
+}
+
+function checkedTuning(tuning, where) {
+  const refuse = (text) => { throw new Refusal(where, text); };
+  const { Np, Nc, Q, R } = tuning, { most_Np, most_Nc } = written.sizes;
+  if (!(Number.isInteger(Np) && Number.isInteger(Nc) && Nc >= 1 && Nc <= Np && Np <= most_Np && Nc <= most_Nc))
+    refuse(`Np = ${Np}, Nc = ${Nc}: both must be whole numbers, 1 ≤ Nc ≤ Np ≤ ${most_Np}, Nc ≤ ${most_Nc}.`);
+  if (!(Q >= 0 && Q < Infinity)) refuse(`Q = ${Q}: it must be a number of at least 0.`);
+  if (!(R > 0 && R < Infinity)) refuse(`R = ${R}: it must be a number above 0.`);
+  return [Np, Nc, Q, R];
+}
+
+function checkedBelief(belief, where) {
+  for (const name of ["lag", "dead_time"]) {
+    const value = belief?.[name];
+    if (value !== null && value !== undefined && !(value >= 0 && value <= 1))
+      throw new Refusal(where, `The controller is to believe a ${name.replace("_", " ")} of ${value} s: give 0 to 1 s.`);
+  }
+  return belief;
+}
+
+function mpcOf(entry, known, car, world, where) {
+  const believed = checkedBelief(entry.belief, where), wanted = entry.tuning ? checkedTuning(entry.tuning, where) : null;
+  const made = known.order ? informedConstants(known, car, believed, where) : publishedConstants(known, car, world.period, where);
+  const { constants } = made, settings = constants.settings.row(0);
+  const tuning = wanted ?? [...constants.tuning.values.slice(0, 4)];
+  settings.longest_horizon = Math.max(settings.longest_horizon, tuning[0]);
+  settings.most_moves = Math.max(settings.most_moves, tuning[1]);
+  return { ...made, kind: entry.kind, known, settings, tuning, learns: settings.learns > 0, schedule: written.schedules[known.schedule] };
+}
+
+const FINE = 0;
+/** The numbers of an informed MPC of this car with what it believes. */
+function informedConstants(known, car, believed, where) {
+  const order = filled(mine(memory.row("synthesis.informed.Order")), known.order);
+  order.car = car.rows.car;
+  order.within = car.rows.within;
+  order.file = car.rows.file;
+  order.given = copied("synthesis.car.Steering", believed);
+  const parts = mine(memory.row("synthesis.informed.Parts"));
+  memory.call("usual_filter", new Block(memory, parts.filter.$at, "F", [parts.filter.$layout.words]));
+  let status = memory.call("informed_parts", order, parts);
+  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  const [states, remembers, learned] = memory.call("informed_sizes", order, parts);
+  const constants = constantsOf(states, learned);
+  filled(constants.settings.row(0), known.settings);
+  status = memory.call("informed_constants", order, parts, constants);
+  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  return { constants, states, remembers, learned, order, parts };
+}
+
+function publishedConstants(known, car, period, where) {
+  const constants = constantsOf(written.sizes.published_states, 0, true);
+  filled(constants.settings.row(0), known.settings);
+  const status = memory.call("published_constants", car.rows.car, period, constants);
+  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  return { constants, states: written.sizes.published_states, remembers: 0, learned: 0 };
+}
+
+function constantsOf(states, learned, published = false) {
+  const { model, published_model, turning, estimator, learner } = written.sizes;
+  return mine(memory.make("synthesis.informed.Constants", {
+    settings: { shape: [1] }, tuning: { shape: [4] }, model: { shape: [published ? published_model : model] }, states: { shape: [states] },
+    turning: { shape: [published ? 0 : turning] }, estimator: { shape: [published ? 0 : estimator] },
+    learner: { shape: [learned ? learner : 0] }, fresh: { shape: [learned] },
+  }));
+}
+
+function lawOf(entry, known, car, where) {
+  if (entry.tuning && "Np" in entry.tuning) throw new Refusal(where, "This controller has no horizons: leave its tuning as it is.");
+  const delay = () => memory.call("steering_delay", car.rows.file);
+  const tuning = Object.values({ ...known.tuning, ...entry.tuning }).map((each) => (Number.isNaN(real(each)) ? delay() : real(each)));
+  const parameters = mine(memory.array("F", [known.size])), common = copied("synthesis.laws.Common", known.common);
+  const wanted = memory.calls[known.made_by][0].length === 4 ? [vectorOf(tuning)] : [];
+  const fine = memory.call(known.made_by, car.rows.car, common, ...wanted, parameters);
+  if (wanted.length && !fine) throw new Refusal(where, "There is no gain for weights so far apart: bring them nearer to one another.");
+  return { kind: entry.kind, known, law: true, parameters, tuning, learns: false };
+}
+
+// -- into a run -------------------------------------------------------------------------------------------------------
+/** The controller's part of a run: { settings, counts, values: { mpc, law } }; of counts what `run_sizes` asks. */
+function laid(controller, of) {
+  return controller.law ? laidLaw(controller) : laidMpc(controller, of);
+}
+
+function laidLaw({ known, parameters, tuning }) {
+  const held = known.diagnostics.indexOf("held"), count = known.diagnostics.length;
+  const settings = copied("controllers.mpc.Settings", {
+    ...ZEROS("controllers.mpc.Settings"), period: known.common.period, longest_horizon: 1, most_moves: 1,
+    output_min: -Infinity, output_max: Infinity,
+  });
+  return {
+    settings, said: ["command_change", "held", ...known.diagnostics, ...known.tuning_names],
+    counts: {
+      mpc: { slots: 1, states: 4, parameters: 6 }, law: 1, law_parameters: parameters.shape[0], law_memory: known.memory,
+      diagnostics: count, tuning: tuning.length,
+    },
+    values: {
+      mpc: { states: [0n, 1n, 2n, 3n] },
+      law: { function: { function: known.function }, parameters: share(parameters), held: held < 0 ? 0 : 1 + held, preview: known.preview ? 1 : 0 },
+    },
+  };
+}
+const ZEROS = (name) => Object.fromEntries(Object.keys(memory.layouts[name].fields).map((field) => [field, 0]));
+
+function laidMpc({ constants, states, remembers, learned, settings, learns }, of) {
+  const { model, turning, estimator, learner, fresh } = constants, size = (block) => block.shape[0];
+  return {
+    settings, said: [...written.answer.slice(1), ...(learns ? written.beliefs : [])],
+    counts: {
+      mpc: {
+        slots: 1, states, parameters: size(model), turning: size(turning), lag: size(turning) ? turning.values[written.sizes.turning_lag] : 0,
+        estimator: size(estimator), estimates: remembers, learner: size(learner), learned, curved: of.test ? 0 : 1,
+      },
+      tuning: 4,
+    },
+    values: {
+      mpc: {
+        parameters: share(model), states: constants.states.values.slice(), feed: { turning: share(turning) },
+        informed: { estimator: share(estimator), learner: share(learner), fresh: share(fresh) },
+      },
+      law: {},
+    },
+  };
+}
+
+/** How many arrays a record has. */
+function arraysOf(name) {
+  return Object.values(memory.layouts[name].fields).reduce((sum, [, kind, more]) =>
+    sum + (kind === "r" ? arraysOf(more) : "FIR".includes(kind) ? 1 : 0), 0);
+}
+
+/** What a record is made of: the sizes of its arrays in turn from rows of sizes, with the values that are given. */
+function shaped(name, rows, values = {}) {
+  const made = {};
+  for (const [field, [, kind, more]] of Object.entries(memory.layouts[name].fields)) {
+    const value = values[field];
+    if (kind === "r") made[field] = shaped(more, rows, value);
+    else if ("FIR".includes(kind)) {
+      const shape = rows.shift().slice(0, kind === "R" ? 1 : more);
+      made[field] = value?.share || value?.words || value?.f8 || value?.i8 ? { ...value, shape } : { shape, values: value };
+    } else if (value !== undefined) made[field] = value;
+  }
+  return made;
+}
+
+/** All that a run is made of; counts: of its loop and its controller; settings: of the MPC, which are completed. */
+function runOfSizes(settings, counts, values) {
+  const count = arraysOf("rollout.Run"), table = mine(memory.array("I", [count, 4]));
+  const asked = mine(memory.row("rollout.Counts"));
+  for (const [field, value] of Object.entries(counts)) {
+    if (typeof value === "object") asked[field].$set(value);
+    else asked[field] = value;
+  }
+  const found = memory.call("run_sizes", settings, asked, table);
+  if (found !== count) throw new Error(`a run has ${count} arrays, and ${found} are known`);
+  const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
+  return shaped("rollout.Run", rows, { ...values, mpc: { ...values.mpc, settings: settings.$numbers } });
+}

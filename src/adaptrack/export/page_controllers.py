@@ -1,0 +1,165 @@
+"""What a program without Python is given of controllers and worlds, and the kernels it then calls: copies, no formulas.
+
+Python writes these numbers once, per profile (`world_numbers`) and kind of controller (`controller_numbers`); of the
+car there is what a user gives. A row of a record is a table by the names of its fields; what is not said is NaN. The
+program lays rows in its memory (`numbers by name`), copies into them what is named here, and calls, in this order:
+
+**A car.** Its numbers by name are the keys of a car file, those left out with the defaults of `page_inputs.car_fields`.
+
+1. From a sheet: `synthesis.car.Car` with ``mass`` and what else the sheet says, NaN elsewhere, an empty
+   `synthesis.car.KnownWithin`; ``complete_car(wheelbase, load, truck, car, within)``. Every other number has its
+   default; the tyre is that of the default. From a file: `Car` is a copy by name, `KnownWithin` a copy of the section
+   ``known_within`` with ``said = 1``, or all NaN with ``said = 0`` where there is none; ``car_flaw(car)`` must answer
+   `ONE_CAR`.
+2. `synthesis.plant.Chassis`, `Tyre` (``linear`` and ``stiffness_load`` are numbers: the places of the words in
+   `page_inputs.car_fields`; ``shape_factor`` is the file's ``shape``), `Body`: copies by name.
+   ``outline_of(body, chassis, outline)`` must answer `HOLDS`.
+
+**A world.** The profile's `world_numbers`.
+
+1. ``plant_parameters(chassis, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
+   functions the `plants.contract.Vehicles` hold.
+2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.SETTINGS`;
+   ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of SETTINGS are
+   copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the chassis
+   (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
+3. ``drive_start(line, offset, turned, pose)`` of `core.planning.drive`, then the speed there: the first four of the 12
+   entries of ``start``; the others are zero.
+
+When the truth changes while it drives, 1 and 2 are called again with a changed actuator.
+
+**An informed MPC** (`informed`, `learning`, and either with a schedule): from ``order`` of `controller_numbers`.
+
+1. Into the row of `synthesis.informed.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
+   limit of the section ``steering``, NaN where it has none; ``given``: what a caller believes of lag and dead time.
+2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `FINE`.
+3. ``informed_sizes(order, parts)``: states, numbers of the filter's memory, of the learner's.
+4. ``settings`` of `controller_numbers` in a row of `controllers.mpc.Settings`; ``informed_constants(order, parts,
+   constants)`` must answer `FINE`. It writes tuning, model, turning, estimator, learner and fresh of the `Mpc`. A
+   tuning of the caller's then takes the place of ``tuning``. ``longest_horizon`` and ``most_moves`` are those of
+   ``settings``, or Np and Nc where these are larger.
+5. ``learns`` is ``settings.learns``; on a road ``curved`` and ``feeds_forward`` are 1. ``functions`` names the members.
+
+**The published MPC** (`published`, and with a schedule): 4. with ``published_constants(car, period, constants)``; five
+arrays of `Constants` may be empty, ``states`` has 4 entries. On a road ``curved`` is 1 and ``feeds_forward`` 0.
+
+**A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
+by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of
+``tuning`` the entry that is NaN is ``steering_delay(file)``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from typing import Any
+
+from adaptrack.base.errors import UnknownName, did_you_mean
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
+from adaptrack.control.controllers.informed import order_of
+from adaptrack.core.plants.tyre import TYRE_NAMES
+from adaptrack.core.synthesis import laws
+from adaptrack.drive.world import World
+from adaptrack.scenario.profile import Profile, load_profile
+
+INFORMED = ("informed", "learning")
+MADE_BY = {
+    "pure-pursuit": (PurePursuit, laws.pure_pursuit_parameters, laws.PURSUIT),
+    "stanley": (Stanley, laws.stanley_parameters, laws.STANLEY),
+    "lqr": (LQR, laws.lqr_parameters, laws.LQR),
+}
+"""Laws by kind: the controller, the kernel that makes its parameters, and how many these are."""
+OF_THE_CAR, OF_THE_DRIVE = ("car", "within", "given", "file"), ("substeps", "dead_whole", "dead_share")
+
+
+def world_numbers(profile: str | Profile) -> dict[str, Any]:
+    """A profile for a program without Python, see the module.
+
+    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings`` (`core.loop.SETTINGS`,
+    all that is not of car or drive), ``remembered`` (instants whose samples are kept) and ``plants``, the names of the
+    functions for each answer of ``plant_law``.
+    """
+    known, car = load_profile(profile), _any_car()
+    world = World.of(DualTrack(car), MPC(car, profile=known), known, None, None, None)
+    settings = world.settings(1)._asdict()
+    theirs = (*OF_THE_DRIVE, "failure_distance", *(key for key in settings if key.startswith("steering_")))
+    for key in (*theirs, *world.plant.powertrain):
+        del settings[key]
+    plants = [{what: f"dual_track_{tyre}_{what}" for what in ("advance", "observe")} for tyre in TYRE_NAMES.values()]
+    return {
+        "period": known.period, "delay": known.delay, "actuator": known.steering.model_dump(), "settings": settings,
+        "remembered": world.remembered, "plants": plants,
+    }  # fmt: skip
+
+
+def controller_numbers(kind: str, profile: str | Profile, preview: bool | None = None) -> dict[str, Any]:
+    """A controller of a kind (`INFORMED`, ``published``, `MADE_BY`) for a program without Python, see the module.
+
+    preview: whether the reference is known ahead; None: as the profile says.
+    """
+    known = load_profile(profile)
+    preview = known.preview if preview is None else preview
+    if kind in MADE_BY:
+        return _law_numbers(kind, known, preview)
+    car = _any_car()
+    if kind == "published":
+        mpc = published_mpc(car, period=known.period, preview=preview)
+        return {"settings": _others(mpc, _WRITTEN), "functions": _functions(mpc)}
+    if kind not in INFORMED:
+        kinds = (*INFORMED, "published", *MADE_BY)
+        raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
+    learning: Any = Learning() if kind == "learning" else "auto"
+    order, _, _ = order_of(car, known, (None, None, learning), None, None, preview)
+    mpc = MPC(car, profile=known, learning=learning, preview=preview)
+    left = _row(order)
+    for part in OF_THE_CAR:
+        del left[part]
+    return {"order": left, "settings": _others(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
+
+
+_WRITTEN = (
+    "period", "delay", "ahead", "error_max", "move_min", "move_max", "angle_min", "angle_max", "informed", "learns",
+    "curved", "feeds_forward",
+)  # fmt: skip
+"""Of the settings of an MPC, what kernels write, or the road decides."""
+
+
+def _any_car() -> Vehicle:
+    """Nothing of it is told."""
+    return load_vehicle("paper")
+
+
+def _others(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
+    return {key: value for key, value in mpc.settings()._asdict().items() if key not in written}
+
+
+def _functions(mpc: MPC) -> dict[str, str | None]:
+    """The names of the members whose addresses `core.controllers.mpc.Functions` holds."""
+    return {"discretise": _name(mpc.model.function), "estimate": _name(mpc.estimator.function)}
+
+
+def _name(function: Any) -> str | None:
+    return None if function is None else getattr(function, "name", function.__name__)
+
+
+def _law_numbers(kind: str, profile: Profile, preview: bool) -> dict[str, Any]:
+    law, kernel, size = MADE_BY[kind]
+    own: CompiledController = law(_any_car(), period=profile.period, preview=preview)
+    (low, high), (least, most) = own.limits.move, own.limits.angle
+    arguments = inspect.signature(law).parameters
+    tuning = {name: math.nan if arguments[name].default is None else own.tuning[name] for name in own.tuning_names}
+    return {
+        "common": {
+            "period": own.period, "move_min": low, "move_max": high, "angle_min": least, "angle_max": most,
+        },
+        "tuning": tuning, "made_by": _name(kernel), "size": size, "function": _name(own.function),
+        "memory": own.memory_size, "diagnostics": list(own.diagnostic_names), "preview": preview,
+    }  # fmt: skip
+
+
+def _row(row: Any) -> dict[str, Any]:
+    """A row of a record as tables in one another."""
+    names = row.dtype.names
+    return {name: _row(row[name]) if row.dtype[name].names else row[name].tolist() for name in names}

@@ -1,0 +1,218 @@
+"""What Python writes into the page: how the kernels' records lie in memory, and what is data, never a formula.
+
+Of JSON alone; what it has no number for is text ("NaN", "Infinity", "-Infinity"), arrays are base64.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
+from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
+from adaptrack.control.controllers import informed
+from adaptrack.control.scheduling import load_scheduler
+from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core.controllers import mpc
+from adaptrack.core.controllers.feed_forward import Turning
+from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.frame import FRAME
+from adaptrack.core.kernel import size_of
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.models import single_track
+from adaptrack.core.models import path as path_model
+from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.period import Span
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
+from adaptrack.core.planning import along, drive, speed
+from adaptrack.core.planning.cells import PLAN
+from adaptrack.core.plants.parameters import PLANT_PARAMETERS
+from adaptrack.core.schedule import no_schedule
+from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
+from adaptrack.core.synthesis.informed import Constants, Order, Parts
+from adaptrack.export.page_controllers import controller_numbers, world_numbers
+from adaptrack.export.page_inputs import car_fields, tyre_numbers
+from adaptrack.export.page_layout import calls, image, layouts, packed
+from adaptrack.export.page_setup import ROADS, TESTS, controller_of, page_road
+from adaptrack.road import Comfort, Line, Road
+from adaptrack.road.ahead import pack_roads
+from adaptrack.road.speed import SPACING
+from adaptrack.scenario import load_scenario
+from adaptrack.scenario.profile import list_profiles, load_profile
+
+RECORDS = (
+    rollout.Run, rollout.Counts, Span, road.Centreline, along.Along, speed.Planning, drive.RoadDrive, Order, Parts,
+    Constants, laws.Common, car.Car, car.KnownWithin, car.Steering, plant.Chassis, plant.Tyre, plant.Actuator,
+    plant.Body, plant.Outline,
+)  # fmt: skip
+"""What the engine lays into memory."""
+CALLED = (
+    # a car, and a road with its speed and samples
+    "complete_car", "car_flaw", "static_loads", "overhangs", "outline_of", "path_words", "path_through", "path_parts",
+    "heading_count", "headings_along", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant",
+    "drive_periods", "drive_samples", "drive_start", "complete_samples",
+    # a world, and a controller
+    "plant_parameters", "plant_substeps", "plant_law", "dead_periods", "usual_filter", "informed_parts",
+    "informed_sizes", "informed_constants", "published_constants", "steering_delay", "pure_pursuit_parameters",
+    "stanley_parameters", "lqr_parameters",
+    # a drive
+    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
+)  # fmt: skip
+"""What the engine calls; what it links besides are members."""
+MEMBERS = (
+    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
+    *(f"dual_track_{tyre}_{what}" for tyre in ("linear", "magic", "curved") for what in ("advance", "observe")),
+)  # fmt: skip
+"""Functions whose addresses are in records."""
+KINDS = {
+    "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
+    "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
+    "informed-nn": "knows its car, scheduled by networks", "informed-anfis": "knows its car, scheduled by ANFIS",
+    "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
+}  # fmt: skip
+"""Controllers of the page, and what they are."""
+BOUNDS = {
+    "lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "bias": (-0.1, 0.1), "noise": (0.0, 20.0), "friction": (0.05, 1.5),
+    "wind": (-40.0, 40.0), "vy": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0), "angle": (-0.3, 0.3), "duration": (0.0, 10.0),
+    "constant": (1.0, 60.0), "lateral": (0.5, 12.0), "road_length": (10.0, 100_000.0),
+}  # fmt: skip
+"""Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m."""
+LONGEST_DEAD_TIME = 1.2
+"""s, for which commands on their way are remembered."""
+
+
+def page_data() -> dict[str, Any]:
+    """All of it."""
+    return _plain({
+        "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
+        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
+        "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
+        "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
+        "no_schedule": image(no_schedule()),
+        "profiles": {name: world_numbers(name) for name in list_profiles()},
+        "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in KINDS},
+        "schedules": {name: image(load_scheduler(name).plan(1)) for name in _schedules()},
+        "roads": {name: _road(name) for name in ROADS}, "tests": {name: _test(name) for name in TESTS},
+        "places": {"signal": SIGNAL._asdict(), "state": STATE._asdict(), "input": INPUT._asdict(),
+                   "plan": PLAN._asdict(), "slots": SLOTS, "states": STATES},
+    })  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _sizes() -> dict[str, int]:
+    return {
+        "parameters": len(PLANT_PARAMETERS), "own_states": len(STATE) - 1, "measured": len(MEASURED),
+        "road_numbers": len(road.NUMBERS), "piece": path.COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
+        "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
+        "published_states": len(single_track.STATE), "turning": size_of(Turning),
+        "turning_lag": Turning._fields.index("lag"), "estimator": size_of(kalman.Numbers),
+        "learner": size_of(learning.Numbers), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
+        "most_Nc": min(40, int(CONTROL_HORIZON.most)),
+    }  # fmt: skip
+
+
+def _car(name: str) -> dict[str, Any]:
+    """A car as the page reads it from a file."""
+    made = load_vehicle(name)
+    sections = ("steering", "body", "known_within", "domain")
+    return {
+        "name": made.name, "description": made.description,
+        "numbers": {key: value for key, value in made.model_dump().items() if isinstance(value, float)},
+        **{key: None if getattr(made, key) is None else getattr(made, key).model_dump() for key in sections},
+        "tyre": {"name": made.tyre, "numbers": tyre_numbers(load_tyre(made.tyre))},
+    }  # fmt: skip
+
+
+def _comfort() -> dict[str, float]:
+    """What bounds a plan beside road and car (`core.planning.speed.Bounds`)."""
+    others = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
+    return {**Comfort().model_dump(), **others}
+
+
+def _straight() -> Road:
+    return Road.from_segments([Line(length=10.0)])
+
+
+def _along(made: Road) -> dict[str, float]:
+    """What lies along a level road of one width, speed limit and friction."""
+    names = ("width_left", "width_right", "friction")
+    limit = math.inf if made.speed_limit is None else float(made.speed_limit.value[0])
+    return {**{key: float(getattr(made, key).value[0]) for key in names}, "speed_limit": limit}
+
+
+def _controller(kind: str, profile: str) -> dict[str, Any]:
+    """The constants of a kind of controller in a profile, its schedule and the names of what it says."""
+    base, _, scheduled = kind.partition("-")
+    law = kind in ("pure-pursuit", "stanley", "lqr")
+    known = load_profile(profile)
+    if base == "published" and not math.isfinite(known.noise_vy):
+        return {
+            "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
+            "takes its state as it is measured: choose a controller that knows its car."
+        }
+    made = controller_of({"kind": kind}, load_vehicle("paper"), known)
+    numbers = controller_numbers(kind if law else base, profile)
+    schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
+    return {
+        **numbers, "words": KINDS[kind], "schedule": schedule if scheduled and not law else None,
+        "diagnostics": list(made.diagnostic_names), "tuning_names": list(made.tuning_names),
+        "usual": dict(zip(made.tuning_names, made.packed_tuning().tolist(), strict=True)),
+    }  # fmt: skip
+
+
+def _schedules() -> list[str]:
+    return [f"{base}road-{kind}" for base in ("", "informed-") for kind in ("nn", "anfis")]
+
+
+def _road(name: str) -> dict[str, Any]:
+    made = page_road(name)
+    packed_road = pack_roads([made])
+    return {
+        "numbers": packed(packed_road.numbers[0]), "start": packed(packed_road.start),
+        "pieces": packed(packed_road.pieces), "closed": made.closed, "length": made.length, **_along(made),
+    }  # fmt: skip
+
+
+def _test(name: str) -> dict[str, Any]:
+    """A test of the paper, sampled; x is where a car at the test's speed would be."""
+    scenario, period = load_scenario(name), 0.05
+    signals = scenario.sample(period)
+    x = np.concatenate([[0.0], np.cumsum(0.5 * (signals.speed[1:] + signals.speed[:-1]) * period)])
+    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or signals.bank.any():
+        raise InvalidInput(f"test {name!r}: has more than the page knows of.")
+    return {
+        "period": period, "samples": signals.t.size, "y_ref": packed(signals.y_ref), "speed": packed(signals.speed),
+        "friction": packed(signals.friction[:, 0]), "wind": packed(signals.wind[:, 1]),
+        "start": list(scenario.start_pose()), "x": packed(x[::10]), "y": packed(signals.y_ref[::10]),
+        "width_left": 1.75, "width_right": 1.75, "duration": scenario.duration,
+    }  # fmt: skip
+
+
+def _words() -> dict[str, Any]:
+    """What kernels answer, in words; by number."""
+    return {
+        "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
+                 "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
+                 "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
+                 "No speed can be planned on this road."],
+        "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
+                  "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
+                  "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",
+                  "angle": "The pull of the wheel (rad)", "duration": "How long the wheel is pulled (s)",
+                  "constant": "The speed (m/s)", "lateral": "The lateral acceleration (m/s²)"},
+        "informed": ["", *(f"The controller cannot be made: {informed._WRONG.get(k, 'its memory is too small.')}"
+                           for k in range(1, 7))],
+    }  # fmt: skip

@@ -1,0 +1,216 @@
+"""The page on which one drives, as one HTML file that loads nothing: markup, scripts, kernels and data inside it.
+
+The scripts of the page stand in it as they are written. The engine, which runs in a worker, the kernels as a module of
+WebAssembly, and the data are compressed (gzip) and written as base64; `page/start.js` unpacks them.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.files import write_atomically
+from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
+from adaptrack.export.page_data import KINDS, page_data
+from adaptrack.export.page_kernels import page_kernels
+from adaptrack.export.page_setup import ROADS
+from adaptrack.road.points import read_points
+from adaptrack.scenario.profile import list_profiles
+
+SOURCES = Path(__file__).parent / "page"
+ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
+"""Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
+FIRST, LAST = ("start.js",), ("app.js",)
+"""Of the page's: they stand before and behind the others."""
+LARGEST = 3_000_000
+"""bytes of a page"""
+
+
+@dataclass(frozen=True)
+class PageParts:
+    """What a page is made of."""
+
+    html: str
+    css: str
+    script: str
+    """of the page"""
+    engine: str
+    """script of the worker"""
+    kernels: bytes
+    """module of WebAssembly"""
+    data: dict[str, Any]
+    """what Python writes into the page"""
+
+
+MOST_CONTROLLERS = 2
+
+
+def export_page(
+    file: str | os.PathLike[str],
+    *,
+    vehicle: str | os.PathLike[str] | Vehicle = "midsize-sedan",
+    road: str | os.PathLike[str] | ArrayLike = "mountain",
+    speed: float | None = None,
+    lateral_acceleration: float | None = None,
+    profile: str = "road",
+    controllers: Sequence[str] = ("informed",),
+    seed: int = 0,
+) -> Path:
+    """Write the page on which one drives: one HTML file, at most 3 MB, that needs neither Python nor a network.
+
+    The kernels of this package run in it, with the same bits as here. Everything that is given here can be changed on
+    the page, which begins with it.
+
+    Parameters
+    ----------
+    file : path
+        The page; it is overwritten.
+    vehicle : str or Vehicle
+        The car: a name, a file, or itself.
+    road : str or (N, 2) array
+        A kind of `generate_road`, a .csv file of points, or points (m).
+    speed : float, optional
+        m/s, kept along the road; by default a speed is planned.
+    lateral_acceleration : float, optional
+        m/s^2, of the planned speed; by default 3.
+    profile : str
+        Of the simulated world: "paper", "road", "production".
+    controllers : names
+        One, or two side by side: "informed", "learning", "published", "published-nn", "published-anfis",
+        "informed-nn", "informed-anfis", "pure-pursuit", "stanley", "lqr".
+    seed : int
+        Of the sensors' noise.
+
+    Raises
+    ------
+    InvalidInput
+        When one of these is not what the page can drive, or the kernels for WebAssembly are not there.
+    StorageError
+        When a file cannot be read or written.
+    """
+    if speed is not None and lateral_acceleration is not None:
+        raise InvalidInput("export_page: give either speed or lateral_acceleration.")
+    if not 1 <= len(controllers) <= MOST_CONTROLLERS:
+        raise InvalidInput(f"export_page: {len(controllers)} controllers; the page drives one or two.")
+    setup = {
+        "car": _car(vehicle),
+        "road": _road(road),
+        "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
+        "profile": _known("profile", profile, list_profiles()),
+        "seed": seed,
+        "controllers": [{"kind": _known("controller", each, KINDS)} for each in controllers],
+    }
+    return write_page(file, setup)
+
+
+def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
+    if isinstance(vehicle, str) and vehicle in list_vehicles():
+        return {"name": vehicle}
+    known = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+    return {"file": known.model_dump(mode="json", exclude_none=True)}
+
+
+def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
+    if isinstance(road, str | os.PathLike):
+        if os.path.splitext(road)[1].lower() not in (".csv", ".txt"):
+            return {"name": _known("road", os.fspath(road), ROADS)}
+        read = read_points(road)
+        points, name, closed = read.points, Path(road).stem, None
+    else:
+        points, name, closed = np.asarray(road, dtype=float), "points", False
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InvalidInput(f"export_page: road has the shape {points.shape}; needs (N, 2): x and y of each point (m).")
+    return {"points": points.tolist(), "closed": bool(closed), "name": name}
+
+
+def _known(what: str, name: str, names: Iterable[str]) -> str:
+    if name not in names:
+        raise UnknownName(f"export_page: the page has no {what} {name!r}. {did_you_mean(name, names)}")
+    return name
+
+
+def page_parts() -> PageParts:
+    """The parts of the page, before they are packed.
+
+    Raises
+    ------
+    InvalidInput
+        Where the kernels for WebAssembly are not there.
+    """
+    others = {each.name for each in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
+    page = (*FIRST, *sorted(others), *LAST)
+    css = _text("viewer.css") + _text("page.css")
+    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), page_data())
+
+
+def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = None) -> Path:
+    """Write the page; setup: what it begins with, see `export_page`.
+
+    Raises
+    ------
+    InvalidInput
+        Where the kernels for WebAssembly are not there.
+    StorageError
+        When it cannot be written.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise StorageError(f"{file}: cannot be written to: is a folder; name a file.")
+    try:
+        write_atomically(file, page_html(page_parts(), setup).encode())
+    except OSError as error:
+        raise StorageError(f"{file}: cannot be written to: {error.strerror or error}.") from error
+    return file
+
+
+def page_html(parts: PageParts, setup: Mapping[str, Any] | None = None) -> str:
+    """The page as text."""
+    data = parts.data if setup is None else {**parts.data, "setup": dict(setup)}
+    packed = {
+        "engine": parts.engine.encode(), "kernels": parts.kernels,
+        "data": json.dumps(data, separators=(",", ":"), allow_nan=False).encode(),
+    }  # fmt: skip
+    carried = "".join(
+        f'<script type="application/gzip" id="part-{name}">{base64.b64encode(gzip.compress(each, 9, mtime=0)).decode()}'
+        "</script>\n"
+        for name, each in packed.items()
+    )
+    html = _once(parts.html, "<head>", f'<head>\n<meta http-equiv="Content-Security-Policy" content="{policy(parts)}">')
+    html = _once(html, "</head>", f"<style>\n{parts.css}</style>\n</head>")
+    return _once(html, "</body>", f"{carried}<script>{parts.script}</script>\n</body>")
+
+
+def policy(parts: PageParts) -> str:
+    """The Content-Security-Policy: this script, its worker and its kernels run, and nothing is loaded from anywhere."""
+    digest = base64.b64encode(hashlib.sha256(parts.script.encode()).digest()).decode()
+    return (
+        f"default-src 'none'; script-src 'sha256-{digest}' 'wasm-unsafe-eval'; worker-src blob:; "
+        "style-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; base-uri 'none'"
+    )
+
+
+def _text(name: str) -> str:
+    return (SOURCES / name).read_text(encoding="utf-8")
+
+
+def _together(names: tuple[str, ...]) -> str:
+    """One script of several files, which share one scope of their own."""
+    files = "\n".join(f"// -- {name}\n{_text(name)}" for name in names)
+    return f'\n(() => {{\n"use strict";\n{files}}})();\n'
+
+
+def _once(text: str, found: str, put: str) -> str:
+    """The text with the one place of a tag written anew."""
+    before, _, behind = text.partition(found)
+    return f"{before}{put}{behind}"

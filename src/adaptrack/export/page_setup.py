@@ -1,0 +1,134 @@
+"""What is set up on the page, driven by Python: the same drives to the last bit.
+
+A setup is plain data: car, road, speed, profile, truth, seed, one or two controllers (see `page/engine.js`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import adaptrack as at
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.control.scheduling import load_scheduler
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.simulate import rollouts
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed, road_through
+from adaptrack.scenario import RoadDrive, Scenario
+from adaptrack.scenario.profile import Profile, load_profile
+
+AN_HOUR = 3600.0
+"""s, for which a closed road is driven."""
+TESTS = ("triple-lane-change", "general-trajectory")
+"""The paper's."""
+
+
+def _oval() -> Road:
+    radius, into = 80.0, 60.0
+    bend = [Clothoid(length=into, start_curvature=0.0, end_curvature=1.0 / radius),
+            Arc(length=math.pi * radius - into, curvature=1.0 / radius),
+            Clothoid(length=into, start_curvature=1.0 / radius, end_curvature=0.0)]  # fmt: skip
+    return Road.from_segments([Line(length=200.0), *bend] * 2, closed=True, name="oval", speed_limit=40.0)
+
+
+ROADS: dict[str, Callable[[], Road]] = {
+    "mountain": lambda: generate_road("mountain", length=1500.0),
+    "country": lambda: generate_road("country", length=2500.0),
+    "town": lambda: generate_road("town", length=1200.0),
+    "motorway": lambda: generate_road("motorway", length=4000.0),
+    "lap": lambda: generate_road("lap", length=1500.0),
+    "oval": _oval,
+}
+"""The ready-made roads: level, of one width and speed limit each."""
+
+
+@cache
+def page_road(name: str) -> Road:
+    """A ready-made road of the page."""
+    return ROADS[name]().replace(name=name)
+
+
+def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
+    """The drives of a setup, one for each controller."""
+    car, profile = car_of(setup["car"]), load_profile(setup["profile"])
+    drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
+    found = []
+    for each in setup["controllers"]:
+        batch = Batch(DualTrack(car), controller_of(each, car, profile), [drive], world)
+        found += rollouts(batch, (int(setup.get("seed", 0)),), threads=1)[0]
+    return found
+
+
+def car_of(given: Mapping[str, Any]) -> Vehicle:
+    """The car of a setup."""
+    if "name" in given:
+        return at.load_vehicle(given["name"])
+    if "sheet" in given:
+        return at.vehicle_from_data_sheet("sheet", **given["sheet"])
+    file = given["file"]
+    sections = {key: file.get(key) for key in ("steering", "body", "known_within", "domain") if file.get(key)}
+    return Vehicle(name=file.get("name", "file"), tyre=file["tyre"]["name"], **file["numbers"], **sections)
+
+
+def road_of(given: Mapping[str, Any]) -> Road:
+    """The road of a setup."""
+    if "name" in given and "points" not in given:
+        return page_road(given["name"])
+    return road_through(np.array(given["points"], float), closed=bool(given.get("closed")))
+
+
+def drive_of(setup: Mapping[str, Any], car: Vehicle) -> RoadDrive | Scenario:
+    """What is driven: a road at a speed, or one of the paper's tests; friction and wind as they truly are."""
+    truth, given = setup.get("truth") or {}, setup["road"]
+    friction, wind = truth.get("friction"), truth.get("wind")
+    if "test" in given:
+        scenario = at.load_scenario(given["test"])
+        changes: dict[str, Any] = {} if friction is None else {"friction": friction}
+        changes |= {} if wind is None else {"wind": wind, "wind_gain": 1.0}
+        return scenario.replace(**changes) if changes else scenario
+    road, speed = road_of(given), setup["speed"]
+    plan = speed["constant"] if "constant" in speed else plan_speed(road, car, Comfort(lateral=speed["lateral"]))
+    driven = RoadDrive(road if friction is None else road.replace(friction=friction), plan, wind=wind or 0.0)
+    return driven.replace(laps=max(1, math.floor(AN_HOUR / driven.duration))) if road.closed else driven
+
+
+def world_of(profile: Profile, truth: Mapping[str, Any]) -> Profile:
+    """The simulated world: the profile with another steering and with so many times its noise."""
+    steering = {name: truth[name] for name in ("lag", "dead_time", "bias") if truth.get(name) is not None}
+    if steering.get("lag", profile.steering.lag) == 0.0:
+        steering["rate"] = math.inf  # a rate limit acts on a lag
+    factor = 1.0 if truth.get("noise") is None else float(truth["noise"])
+    noises = {name: getattr(profile, name) for name in type(profile).model_fields if name.startswith("noise_")}
+    changed = {name: value * factor for name, value in noises.items() if math.isfinite(value)}
+    return profile.replace(steering=profile.steering.replace(**steering), **changed)
+
+
+def controller_of(given: Mapping[str, Any], car: Vehicle, profile: Profile) -> Controller:
+    """A controller of a setup, for a car in a profile."""
+    kind, loop = given["kind"], {"period": profile.period, "preview": profile.preview}
+    entries, believed = given.get("tuning"), given.get("belief")
+    tuning = None if entries is None else Tuning(**{**entries, "Np": int(entries["Np"]), "Nc": int(entries["Nc"])})
+    laws = {"pure-pursuit": PurePursuit, "stanley": Stanley, "lqr": LQR}
+    if kind in laws:
+        return laws[kind](car, **loop)
+    scheduled = kind.partition("-")[2]
+    if kind.startswith("published"):
+        scheduler = load_scheduler(f"road-{scheduled}") if scheduled else None
+        return published_mpc(car, tuning, scheduler=scheduler, **loop)
+    said = {name: value for name, value in (believed or {}).items() if value is not None}
+    options: dict[str, Any] = {"belief": at.Steering(**said)} if said else {}
+    if kind == "learning":
+        options["learning"] = Learning()
+    elif kind.startswith("informed-"):
+        options["scheduler"] = load_scheduler(f"informed-road-{scheduled}")
+    elif kind != "informed":
+        raise InvalidInput(f"controller {kind!r}: there is none of this kind.")
+    return MPC(car, tuning, profile=profile, **options)

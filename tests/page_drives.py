@@ -1,0 +1,117 @@
+"""Twenty drives of the page, and what Python drives with the same setups: for Node here, and for browsers.
+
+`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows there
+are, and the SHA-256 of these columns one behind the other, as little-endian float64 with every NaN as 0x7ff8000000000000.
+"""
+
+import functools
+import hashlib
+
+import numpy as np
+
+import adaptrack as at
+from adaptrack.export.page_setup import simulate_setup
+
+COLUMNS = {
+    "x": "X", "y": "Y", "yaw": "psi", "vx": "vx", "vy": "vy", "yaw_rate": "yaw_rate", "wheel_angle": "steering",
+    "command": "command", "command_change": "command_change", "y_ref": "y_ref", "v_ref": "v_ref",
+    "lateral_acceleration": "lateral_acceleration",
+}  # fmt: skip
+"""Columns of frames, and what a `Trajectory` calls them."""
+SHEET = {"mass": 1480.0, "wheelbase": 2.68}
+VAN = {
+    "name": "mine", "description": "", "estimated": [], "tyre": {"name": "van"},
+    "numbers": {key: value for key, value in at.load_vehicle("van").model_dump().items() if isinstance(value, float)},
+    "steering": {"lag": 0.2, "dead_time": 0.08, "rate": 0.6, "limit": 0.55, "ratio": None},
+}  # fmt: skip
+"""A car file as the page has read it."""
+
+
+def _wave(count, step, height):
+    s = np.arange(count) * step
+    return np.round(np.stack([s, height * np.sin(s / 45.0)], axis=-1), 3).tolist()
+
+
+def _circuit(count, a, b):
+    angle = np.arange(count) * (2.0 * np.pi / count)
+    return np.round(np.stack([a * np.cos(angle), b * np.sin(angle)], axis=-1), 3).tolist()
+
+
+WAVE = {"points": _wave(60, 12.0, 9.0), "closed": False, "name": "drawn"}
+CIRCUIT = {"points": _circuit(40, 160.0, 90.0), "closed": True, "name": "loop"}
+PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SHEET}
+
+
+def _setup(car, road, speed, profile, *controllers, seed=1, **truth):
+    made = [
+        {"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers
+    ]
+    nothing = dict.fromkeys(("lag", "dead_time", "bias", "noise", "friction", "wind"))
+    return {"car": car, "road": road, "speed": speed, "profile": profile, "truth": nothing | truth, "seed": seed,
+            "controllers": made}  # fmt: skip
+
+
+def _tuned(kind, Np, Nc, Q, R, **belief):
+    return {"kind": kind, "tuning": {"Np": Np, "Nc": Nc, "Q": Q, "R": R}, "belief": belief or None}
+
+
+SETUPS = {
+    "informed": _setup(PAPER, {"name": "mountain"}, {"lateral": 3.0}, "road", "informed"),
+    "learning": _setup(PAPER, {"name": "country"}, {"lateral": 3.0}, "road", "learning"),
+    "published": _setup(PAPER, {"name": "country"}, {"constant": 15.0}, "paper", "published"),
+    "networks": _setup(PAPER, {"name": "mountain"}, {"lateral": 2.5}, "road", "published-nn", "published-anfis"),
+    "informed networks": _setup(PAPER, {"name": "town"}, {"lateral": 2.5}, "road", "informed-nn", "informed-anfis"),
+    "laws": _setup(SEDAN, {"name": "country"}, {"lateral": 2.0}, "road", "pure-pursuit", "stanley", seed=4),
+    "lqr": _setup({"name": "van"}, {"name": "town"}, {"lateral": 2.0}, "production", "lqr", "stanley"),
+    "late samples": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "production", "informed", "learning", seed=9),
+    "first test": _setup(PAPER, {"test": "triple-lane-change"}, {}, "paper", "published", "published-nn"),
+    "second test": _setup(PAPER, {"test": "general-trajectory"}, {}, "road", "informed", "published-anfis"),
+    # begun from what a user gives
+    "sheet": _setup(TYPED, {"name": "country"}, {"lateral": 3.0}, "road", "informed", "learning"),
+    "sheet, late": _setup(TYPED, WAVE, {"lateral": 2.5}, "production", "learning", seed=3),
+    "file": _setup({"file": VAN}, {"name": "town"}, {"lateral": 2.0}, "road", "informed", "lqr"),
+    "file, learning": _setup({"file": VAN}, WAVE, {"constant": 12.0}, "production", "learning", "informed"),
+    "points": _setup(PAPER, WAVE, {"lateral": 3.0}, "road", "informed", "stanley"),
+    "tuned": _setup(SEDAN, WAVE, {"lateral": 3.0}, "road", _tuned("informed", 42, 7, 2.0, 11.5), seed=2),
+    "believing": _setup(SEDAN, {"name": "mountain"}, {"lateral": 2.0}, "road",
+                        _tuned("informed", 30, 10, 1.0, 40.0, lag=0.3, dead_time=0.12), lag=0.3, dead_time=0.06),
+    "another truth": _setup(TYPED, WAVE, {"lateral": 2.0}, "road", "informed", _tuned("published", 25, 5, 1.0, 30.0),
+                            lag=0.22, dead_time=0.07, bias=0.01, noise=2.0, friction=0.6, wind=8.0),
+    "paper, drawn": _setup({"sheet": {**SHEET, "load": 75.0}}, WAVE, {"constant": 14.0}, "paper", "pure-pursuit",
+                           _tuned("published", 20, 4, 5.0, 0.05)),
+    "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
+}  # fmt: skip
+
+
+@functools.cache
+def driven(name):
+    """Of each car of a drive the columns that are compared, by name."""
+    return [columns_of(each) for each in simulate_setup(SETUPS[name])]
+
+
+def columns_of(trajectory):
+    """The columns of a trajectory as frames name them, until it ends."""
+    found = {name: getattr(trajectory, theirs) for name, theirs in COLUMNS.items()}
+    found |= {"held": trajectory.held.astype(float), "error": trajectory.Y - trajectory.y_ref}
+    found |= {key: trajectory.road[key] for key in ("station", "offset", "heading_error") if trajectory.road}
+    if trajectory.road:
+        found["error"] = trajectory.road["offset"] - trajectory.y_ref
+    for group in (trajectory.tuning, trajectory.diagnostics):
+        found |= {key: values.astype(float) for key, values in group.items()}
+    count = int(np.isfinite(trajectory.command).sum())
+    return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}
+
+
+def digest(columns):
+    """SHA-256 of columns one behind the other."""
+    content = np.concatenate([np.where(np.isnan(each), np.nan, each) for each in columns.values()])
+    return hashlib.sha256(content.astype("<f8").tobytes()).hexdigest()
+
+
+def proofs():
+    """See the module."""
+    return [
+        {"name": name, "setup": setup, "cars": [
+            {"columns": list(each), "rows": len(each["x"]), "sha256": digest(each)} for each in driven(name)
+        ]} for name, setup in SETUPS.items()
+    ]  # fmt: skip

@@ -1,0 +1,139 @@
+"""The page on which one drives, as tests open it: from the disk or a server, its engine alone, what lies on it."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import functools
+import http.server
+import json
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+READY = "window.adaptrackPage && adaptrackPage.ready && adaptrackPage.state().cars.length > 0"
+STATE = "adaptrackPage.state()"
+
+ENGINE = """
+(async (setup, periods, changes) => {
+  const part = (name) => {
+    const text = atob(document.getElementById(`part-${name}`).textContent.trim());
+    const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+  };
+  const [script, kernels, packed] = await Promise.all(["engine", "kernels", "data"].map(part));
+  const data = JSON.parse(new TextDecoder().decode(packed));
+  const place = URL.createObjectURL(new Blob([script], {type: "text/javascript"}));
+  const worker = new Worker(place);
+  const ask = (message) => new Promise((take, fail) => {
+    worker.onmessage = (event) => { if (event.data.type !== "loaded") take(event.data); };
+    worker.onerror = (event) => fail(new Error(event.message));
+    worker.postMessage({id: 1, ...message});
+  });
+  worker.postMessage({type: "load", kernels, data});
+  const begun = performance.now();
+  const started = await ask({type: "start", setup});
+  if (started.type === "refused") { worker.terminate(); return {refused: started}; }
+  const rows = started.cars.map(() => []), ended = started.cars.map(() => null);
+  const ready = performance.now();
+  let done = 0;
+  while (done < periods) {
+    for (const {at, car, what} of changes) if (at === done) await ask({type: "change", car, what});
+    const next = Math.min(periods, ...changes.filter(({at}) => at > done).map(({at}) => at), done + 400);
+    const frames = await ask({type: "advance", periods: next - done});
+    if (frames.type === "refused") { worker.terminate(); return {refused: frames}; }
+    frames.cars.forEach((car, i) => { rows[i].push(car.numbers); ended[i] = car.ended; });
+    if (!frames.count) break;
+    done += frames.count;
+  }
+  const seconds = (performance.now() - ready) / 1000;
+  worker.terminate();
+  const text = (parts) => {
+    let found = "";
+    for (const each of parts) {
+      const bytes = new Uint8Array(each.buffer, each.byteOffset, each.byteLength);
+      for (let i = 0; i < bytes.length; i += 8192) found += String.fromCharCode(...bytes.subarray(i, i + 8192));
+    }
+    return btoa(found);
+  };
+  return {period: started.period, duration: started.duration, begun: (ready - begun) / 1000, seconds, done,
+    cars: started.cars.map(({name, columns}, i) => ({name, columns, ended: ended[i], numbers: text(rows[i])}))};
+})"""
+"""A drive of the page's engine in a worker of its own: what it began with, and the frames of each car."""
+
+
+def drive(
+    page: Any, setup: dict[str, Any], periods: int, changes: list[dict[str, Any]] | None = None
+) -> dict[str, Any]:
+    """What the engine of an open page drives; `numbers` of each car are (frames, columns)."""
+    found = page.run(f"{ENGINE}({json.dumps(setup)}, {periods}, {json.dumps(changes or [])})")
+    for car in found.get("cars", ()):
+        numbers = np.frombuffer(base64.b64decode(car["numbers"]), "<f8")
+        car["numbers"] = numbers.reshape(-1, len(car["columns"]))
+    return found
+
+
+@contextlib.contextmanager
+def served(folder: Path) -> Iterator[tuple[str, list[str]]]:
+    """The address of a server of a folder, and the paths that it was asked for."""
+    paths: list[str] = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *words: Any) -> None:
+            paths.append(self.path)
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}", paths
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def axe() -> Path | None:
+    """The checker of accessibility (axe-core, MPL-2.0), where there is one; it is not part of this project."""
+    named = os.environ.get("ADAPTRACK_AXE")
+    places = [Path(named)] if named else []
+    places += [each / "node_modules/axe-core/axe.min.js" for each in Path(__file__).resolve().parents]
+    return next((each for each in places if each.is_file()), None)
+
+
+NO_AXE = "no axe-core: npm install axe-core somewhere, and ADAPTRACK_AXE=.../axe.min.js"
+
+CONTROLS = """
+[...document.querySelectorAll("a[href], button, input, select, textarea, summary, [tabindex]")].filter((each) =>
+  each.tabIndex >= 0 && !each.disabled && !each.closest("[inert], dialog:not([open])")
+  && (each.checkVisibility ? each.checkVisibility({visibilityProperty: true}) : each.offsetParent !== null)
+  && !(each.type === "radio" && !each.checked && document.querySelector(`input[name="${each.name}"]:checked`)))"""
+"""The elements that Tab reaches, in the order of the page."""
+
+NAME = """((each) => each === document.body ? "body" : `${each.id || each.dataset.part
+  || (each.getAttribute("aria-label") || each.textContent).trim().slice(0, 30)} <${each.tagName.toLowerCase()}>`)"""
+"""A control in words."""
+
+SAME = {
+    "time": "t", "x": "X", "y": "Y", "yaw": "psi", "vx": "vx", "vy": "vy", "yaw_rate": "yaw_rate",
+    "wheel_angle": "steering", "command": "command", "lateral_acceleration": "lateral_acceleration",
+}  # fmt: skip
+"""Columns of a frame and of a trajectory that hold the same."""
+
+
+def differing(car: dict[str, Any], run: Any) -> int:
+    """How many steps of a drive of the page differ from one of Python's in any bit of any number that both know."""
+    columns = {name: getattr(run, of) for name, of in SAME.items()} | dict(run.diagnostics) | dict(run.tuning)
+    known = [name for name in car["columns"] if name in columns]
+    assert len(known) >= len(SAME)
+    numbers = car["numbers"]
+    wrong = np.zeros(len(numbers), bool)
+    for name in known:
+        found = np.ascontiguousarray(numbers[:, car["columns"].index(name)])
+        expected = np.asarray(columns[name], dtype=float)[: found.size]
+        assert expected.size == found.size, name
+        both = np.isnan(found) & np.isnan(expected)
+        wrong |= (found.view(np.int64) != expected.view(np.int64)) & ~both
+    return int(wrong.sum())

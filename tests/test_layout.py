@@ -1,0 +1,107 @@
+"""The kernels that say how much memory a run takes say what Python lays."""
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.core import layout, period, rollout
+from adaptrack.core.controllers import mpc
+from adaptrack.core.kernel import Array
+from adaptrack.drive.batch import Batch
+from adaptrack.road import Arc, Road
+from adaptrack.scenario import RoadDrive
+
+CAR = at.load_vehicle("paper")
+ROAD = RoadDrive(Road.from_segments([Arc(length=300.0, curvature=1 / 80.0)]), speed=12.0)
+LANES = at.load_scenario("double-lane-change")
+
+
+def scheduled():
+    return at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn"))
+
+
+CASES = {
+    "informed": (lambda: at.MPC(CAR, profile="road"), LANES, "road", None),
+    "learning on a road": (lambda: at.MPC(CAR, profile="production", learning=at.Learning()), ROAD, "production", None),
+    "scheduled, estimating": (scheduled, LANES, "road", at.FrictionWindEstimator),
+    "laguerre, output limits": (
+        lambda: at.MPC(CAR, moves=at.Moves.laguerre(0.5, 5), limits=at.Limits(output=(-3.0, 3.0)), solver="hildreth"),
+        ROAD, "road", None,
+    ),
+    "Stanley": (lambda: at.Stanley(CAR), ROAD, "road", None),
+}  # fmt: skip
+
+
+def arrays(record):
+    """All arrays of a record, in the order of its words."""
+    for kind, value in zip(record.kinds.values(), record, strict=True):
+        if isinstance(value, tuple):
+            yield from arrays(value)
+        elif isinstance(kind, Array):
+            yield value
+
+
+def counts_of(run):
+    """What the sizes follow from, as a program has it that knows only how many numbers there are."""
+    loop, own, law, plan = run, run.mpc, run.law, run.schedule
+    turning = own.feed.turning
+    (row,) = rollout.Counts.new(1, tuning=run.tuning.shape[1])
+    given = loop.given
+    for name, value in {
+        "slots": len(run.tuning), "parameters": loop.vehicles.parameters.size, "states": loop.vehicles.start.shape[1],
+        "scenarios": len(given.scenario) and given.signals.shape[0], "samples": given.signals.shape[2],
+        "roads": len(given.roads.numbers), "starts": given.roads.start.size, "pieces": len(given.roads.pieces),
+        "headings": given.roads.headings.size, "perceiving": loop.perceiving.parameters.size,
+        "perceiving_settings": loop.perceiving.settings.size, "dead_whole": loop.settings.dead_whole,
+        "past": loop.memory.past.shape[1], "segments": loop.segments.shape[1], "traced": loop.trace.state.shape[1],
+        "answers": loop.trace.answer.shape[2],
+    }.items():  # fmt: skip
+        row.loop[name] = value
+    for name, value in {
+        "slots": len(run.tuning), "states": own.states.size, "parameters": own.parameters.size,
+        "turning": turning.size, "lag": mpc.turning_of(turning, 0).lag if turning.size else 0.0,
+        "estimator": own.informed.estimator.size, "estimates": own.informed.estimates.shape[1],
+        "learner": own.informed.learner.size, "learned": own.informed.fresh.size,
+        "curved": len(given.roads.numbers) > 0 and not run.features.law,
+    }.items():  # fmt: skip
+        row.mpc[name] = value
+    row.law, row.law_parameters, row.law_memory = run.features.law, law.parameters.size, law.memory.shape[1]
+    row.diagnostics = max(law.own_answer.size - 1, 0)
+    row.integers, row.numbers, row.scratch = plan.integers.size, plan.numbers.size, plan.scratch.size
+    return row
+
+
+@pytest.mark.parametrize("slots", [1, 3])
+@pytest.mark.parametrize("name", CASES)
+def test_the_sizes_that_kernels_say_are_those_that_python_lays(name, slots):
+    make, scenario, profile, estimator = CASES[name]
+    controller = make()
+    known_as = None if estimator is None else estimator(CAR, period=controller.period)
+    batch = Batch(at.DualTrack(CAR), controller, [scenario, scenario], profile, known_as=known_as)
+    limits = batch.mpc_settings(np.inf, np.inf, residuals=True)
+    run = batch.arena(slots, int(batch.substeps[0]), limits, 4, 50, batch.scheduler)
+    (settings,) = mpc.Settings.new(1, **run.mpc.settings._asdict())
+    settings.learns, settings.curved, settings.feeds_forward = 0, 0, 0
+    table = np.full((layout.arrays_of(rollout.Run), layout.SIZES), -1)
+    assert rollout.sizes(settings, counts_of(run), table) == len(table)
+    for row, laid in zip(table.tolist(), arrays(run), strict=True):
+        assert tuple(row[: laid.ndim]) == laid.shape
+        assert not any(row[laid.ndim :])
+    assert settings.tolist() == tuple(run.mpc.settings)
+    assert all(each.ctypes.data % layout.ALIGNMENT == 0 for each in arrays(run.mpc.ws))
+    assert run.measured is run.mpc.measured
+
+
+def test_a_memory_of_an_mpc_that_is_prepared_again_is_as_before():
+    own = at.MPC(CAR, profile="road", learning=at.Learning()).batch(2, at.MPC(CAR, profile="road").settings())
+    before = [each.copy() for each in arrays(own)]
+    own.memory["speed"], own.informed.learned[:] = 3.0, -1.0
+    own.ws.rows[:], own.model.c[:] = 7.0, 0.5
+    own.ws.rows[..., 4 * int(own.settings.most_moves) :] = 0.0
+    mpc.prepare(own)
+    assert all(one.tobytes() == other.tobytes() for one, other in zip(before, arrays(own), strict=True))
+
+
+def test_a_record_whose_sizes_are_not_all_written_is_refused():
+    with pytest.raises(AssertionError, match="not every array"):
+        layout.room(period.Trace, lambda table, row: layout.put(table, row, 3))

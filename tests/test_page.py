@@ -1,0 +1,215 @@
+"""The page on which one drives: one file, opened from anywhere, that drives as Python does."""
+
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+import browser
+from adaptrack import cli
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
+from adaptrack.core.kernel import INTERPRETED
+from adaptrack.export import page_file
+from adaptrack.export.page_setup import simulate_setup
+from browsers import BROWSERS, Chromium
+from pages import READY, STATE, differing, drive, served
+
+pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
+CHROMIUM = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The file."""
+    return at.export_page(tmp_path_factory.mktemp("page") / "drive.html")
+
+
+@pytest.fixture(scope="module", params=BROWSERS)
+def opened(request, page):
+    """The page, open in a browser, and paused."""
+    kind, program, missing = BROWSERS[request.param]
+    if program is None:
+        pytest.skip(missing)
+    with kind() as shown:
+        shown.open(page.as_uri())
+        shown.wait(READY)
+        shown.run("adaptrackPage.pause()")
+        yield shown
+
+
+@pytest.fixture(scope="module")
+def chromium(page):
+    """The page in Chromium alone."""
+    if browser.PROGRAM is None:
+        pytest.skip(browser.NONE)
+    with Chromium() as shown:
+        yield shown
+
+
+def fresh(shown, page, fragment="", size=(1400, 900)):
+    """The page opened anew, driving nothing."""
+    shown.resize(*size)
+    shown.open("about:blank")
+    shown.open(page.as_uri() + fragment)
+    shown.wait(READY)
+    shown.run("adaptrackPage.pause()")
+    return shown
+
+
+# -- one file ---------------------------------------------------------------------------------------------------------
+def test_the_page_is_one_file_of_at_most_three_megabytes(page):
+    text = page.read_text(encoding="utf-8")
+    assert page.stat().st_size <= page_file.LARGEST
+    assert list(page.parent.iterdir()) == [page]
+    assert not re.findall(r'(?:src|href)="(?!#|data:)(?!https://)[^"]', text)
+    assert "default-src 'none'" in text
+
+
+def test_files_of_a_script_share_no_name():
+    others = {each.name for each in page_file.SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    for names in (others, page_file.ENGINE):
+        found = [
+            name
+            for each in sorted(names)
+            for name in re.findall(
+                r"^(?:async )?(?:function\*? |class |const |let )(\w+)", (page_file.SOURCES / each).read_text(), re.M
+            )
+        ]
+        assert sorted(name for name in set(found) if found.count(name) > 1) == []
+
+
+def test_scripts_of_the_page_can_be_read():
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    parts = page_file.page_parts()
+    for script in (parts.script, parts.engine):
+        subprocess.run(["node", "--check", "-"], input=script, text=True, check=True)
+        assert "</script" not in script
+
+
+def test_the_same_page_is_written_twice(page, tmp_path):
+    assert at.export_page(tmp_path / "again.html").read_bytes() == page.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"road": "moutain"}, "no road 'moutain'. Did you mean 'mountain'"),
+        ({"profile": "rode"}, "no profile 'rode'"),
+        ({"controllers": ["inform"]}, "no controller 'inform'. Did you mean 'informed'"),
+        ({"controllers": []}, "one or two"),
+        ({"controllers": ["lqr"] * 3}, "one or two"),
+        ({"speed": 10.0, "lateral_acceleration": 2.0}, "either speed or lateral_acceleration"),
+        ({"road": [[0.0, 1.0, 2.0]]}, "x and y of each point"),
+        ({"vehicle": "paprika"}, "paprika"),
+    ],
+)
+def test_what_the_page_cannot_drive_is_refused_before_it_is_written(given, said, tmp_path):
+    with pytest.raises(InvalidInput, match=re.escape(said)):
+        at.export_page(tmp_path / "drive.html", **given)
+    assert not list(tmp_path.iterdir())
+
+
+def run_command(monkeypatch, capsys, *words):
+    monkeypatch.setattr(sys, "argv", ["adaptrack", "export", "page", *map(str, words)])
+    code = cli.main()
+    return code, *capsys.readouterr()
+
+
+def test_the_command_writes_it_and_says_how_large_it_is(monkeypatch, capsys, tmp_path, page):
+    out = tmp_path / "new" / "drive.html"
+    code, said, _ = run_command(monkeypatch, capsys, "--out", out, "--json")
+    assert code == 0
+    assert json.loads(said) == {"file": str(out), "bytes": out.stat().st_size}
+
+
+def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
+    code, _, said = run_command(monkeypatch, capsys, "--out", tmp_path)
+    assert code == 2
+    assert "is a folder; name a file" in said
+
+
+def test_a_file_below_a_file_is_refused_by_name(tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(StorageError, match="taken"):
+        at.export_page(tmp_path / "taken" / "drive.html")
+
+
+def test_names_are_refused_by_their_own_kind(tmp_path):
+    with pytest.raises(UnknownName):
+        at.export_page(tmp_path / "drive.html", road="moon")
+
+
+# -- it opens ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("way", ["disk", "server"])
+@pytest.mark.parametrize("name", BROWSERS)
+def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
+    kind, program, missing = BROWSERS[name]
+    if program is None:
+        pytest.skip(missing)
+    with served(page.parent) as (address, paths), kind() as shown:
+        shown.open(page.as_uri() if way == "disk" else f"{address}/{page.name}")
+        shown.wait(READY)
+        shown.wait(f"{STATE}.cars[0].last.station > 1")
+        assert shown.run(f"{STATE}.notice") == ""
+        assert shown.said() == []
+        assert shown.requests() == []
+        assert paths == ([] if way == "disk" else [f"/{page.name}"])
+
+
+def test_it_begins_with_what_it_was_exported_with(chromium, tmp_path):
+    along = np.linspace(0.0, 200.0, 41)
+    points = np.stack([along, 3.0 * np.sin(along / 30.0)], axis=-1)
+    car = at.vehicle_from_data_sheet("own", mass=1300.0, wheelbase=2.5)
+    own = at.export_page(
+        tmp_path / "own.html", vehicle=car, road=points, speed=12.0, profile="production",
+        controllers=["learning", "stanley"], seed=3,
+    )  # fmt: skip
+    fresh(chromium, own)
+    state = chromium.run(STATE)
+    assert state["notice"] == ""
+    assert state["setup"]["car"]["file"]["mass"] == 1300.0
+    assert len(state["setup"]["road"]["points"]) == 41
+    assert [each["kind"] for each in state["setup"]["controllers"]] == ["learning", "stanley"]
+    assert (state["setup"]["speed"], state["setup"]["profile"], state["setup"]["seed"]) == (
+        {"constant": 12.0}, "production", 3,
+    )  # fmt: skip
+    assert len(state["cars"]) == 2
+
+
+# -- it drives as Python does -----------------------------------------------------------------------------------------
+def differs(shown, setup, seconds):
+    """Of each car, the steps in which the drive of the page is another than Python's, and all steps."""
+    expected = simulate_setup(setup)
+    period = float(expected[0].t[1] - expected[0].t[0])
+    periods = min(round(seconds / period), *(len(run) for run in expected))
+    found = drive(shown, setup, periods)
+    assert "refused" not in found, found
+    return [(differing(car, run), len(car["numbers"])) for car, run in zip(found["cars"], expected, strict=True)]
+
+
+BEND = [[10.0 * k, 8.0 * math.sin(k / 4.0)] for k in range(40)]
+TWO = {
+    "road, informed and Stanley": {
+        "car": {"name": "midsize-sedan"}, "road": {"name": "mountain"}, "speed": {"lateral": 3.0}, "profile": "road",
+        "truth": {}, "seed": 1, "controllers": [{"kind": "informed"}, {"kind": "stanley"}],
+    },
+    "a sheet, points, learning": {
+        "car": {"sheet": {"mass": 1300.0, "wheelbase": 2.5}},
+        "road": {"points": BEND, "closed": False, "name": "bend"}, "speed": {"constant": 12.0}, "profile": "production",
+        "truth": {"lag": 0.25, "noise": 1.5}, "seed": 2, "controllers": [{"kind": "learning"}],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(opened, name):
+    found = differs(opened, TWO[name], 20.0)
+    assert [wrong for wrong, _ in found] == [0] * len(found)
+    assert all(count >= 200 for _, count in found)

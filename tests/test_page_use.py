@@ -1,0 +1,289 @@
+"""The page on which one drives, under every hand: keys, sizes, colours, links, and what nobody should give it."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+import browser
+from adaptrack.core.kernel import INTERPRETED
+from browsers import Chromium, Media
+from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe
+
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled"),
+    pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE),
+]
+WIDTHS = (320, 400, 800, 1400, 2200)
+OPEN_ALL = (
+    "document.querySelectorAll('details').forEach((each) => { each.open = true; }), document.activeElement.blur()"
+)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return at.export_page(tmp_path_factory.mktemp("page") / "drive.html")
+
+
+@pytest.fixture(scope="module")
+def shown(file):
+    """The page, paused, with two cars and all its panels open."""
+    with Chromium() as page:
+        opened(page, file)
+        yield page
+
+
+def opened(page, file, fragment=""):
+    page.open("about:blank")
+    page.open(file.as_uri() + fragment)
+    page.wait(READY)
+    page.run("adaptrackPage.pause()")
+    page.run(OPEN_ALL)
+    return page
+
+
+# -- keys -------------------------------------------------------------------------------------------------------------
+def test_tab_reaches_every_control_in_the_order_of_the_page_and_shows_where_it_is(shown):
+    expected = shown.run(f"{CONTROLS}.map({NAME})")
+    assert len(expected) > 40
+    shown.run("scrollTo(0, 0), document.activeElement.blur()")
+    visited, unmarked = [], []
+    for _ in expected:
+        shown.press("Tab")
+        visited.append(shown.run(f"{NAME}(document.activeElement)"))
+        if not shown.run(
+            "(({outlineStyle, outlineWidth, boxShadow}) => outlineStyle !== 'none' && parseFloat(outlineWidth) >= 2 ||"
+            " boxShadow !== 'none')(getComputedStyle(document.activeElement))"
+        ):
+            unmarked.append(visited[-1])
+    assert visited == expected
+    assert unmarked == []
+    shown.press("Tab", shift=True)
+    assert shown.run(f"{NAME}(document.activeElement)") == expected[-2]
+
+
+KEYS = {
+    "range": "ArrowRight",
+    "select-one": "ArrowDown",
+    "number": "ArrowUp",
+    "checkbox": " ",
+    "radio": " ",
+    "textarea": "a",
+}
+
+
+def test_every_control_does_by_key_what_it_does_by_mouse(shown):
+    # what it would set off is held back: it is the same as with a mouse
+    shown.run(
+        """(() => {
+          window.heard = [];
+          window.hear = (event) => {
+            window.heard.push(event.type);
+            if (event.type === "click" && event.target.type !== "checkbox") event.preventDefault();
+            event.stopImmediatePropagation();
+          };
+          for (const kind of ["click", "input", "change"]) addEventListener(kind, window.hear, true);
+        })()"""
+    )
+    count = shown.run(f"(window.controls = {CONTROLS}).length")
+    deaf = []
+    for i in range(count):
+        kind = shown.run(f"(window.heard = [], controls[{i}].focus(), controls[{i}].type || controls[{i}].tagName)")
+        if kind in ("PRE", "CANVAS", "DIV", "SECTION"):
+            continue
+        if kind == "range":
+            shown.run(f"controls[{i}].value = controls[{i}].min")
+        if kind == "select-one":
+            shown.run(f"controls[{i}].selectedIndex = 0")
+        shown.press(KEYS.get(kind, "Enter"))
+        # the slider of time hands its keys to the clock, see below
+        if not shown.run(f"heard.length || controls[{i}].dataset.part === 'slider'") and kind != "select-one":
+            deaf.append(shown.run(f"{NAME}(controls[{i}])"))
+    shown.run("['click', 'input', 'change'].forEach((kind) => removeEventListener(kind, hear, true))")
+    assert deaf == []
+
+
+def test_the_picture_is_steered_by_keys(shown, file):
+    opened(shown, file)
+    shown.run("adaptrackPage.advance(100)")
+    shown.run("adaptrackPage.seek(2), document.querySelector('#road canvas').focus()")
+    before = shown.run(f"{STATE}.t")
+    shown.press("ArrowRight")
+    assert shown.run(f"{STATE}.t") > before
+    shown.press("Home")
+    assert shown.run(f"{STATE}.t") == 0.0
+    shown.press(" ")
+    assert shown.run(f"{STATE}.playing")
+    shown.press(" ")
+    assert not shown.run(f"{STATE}.playing")
+
+
+# -- sizes and colours ------------------------------------------------------------------------------------------------
+def test_nothing_is_wider_than_the_window_nor_smaller_than_a_finger(shown, file):
+    opened(shown, file)
+    for width in WIDTHS:
+        shown.resize(width, 900)
+        assert shown.run("document.documentElement.scrollWidth - innerWidth") <= 0, width
+        small = shown.run(
+            f"""{CONTROLS}.filter((each) => !each.matches(".skip, p a")).map((each) => {{
+              const boxes = [each, ...(each.labels ?? [])].map((part) => part.getBoundingClientRect());
+              return [{NAME}(each), Math.max(...boxes.map((b) => b.width)), Math.max(...boxes.map((b) => b.height))];
+            }}).filter(([_, wide, high]) => wide < 24 || high < 24)"""
+        )
+        assert small == [], width
+    shown.resize(1400, 900)
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_checker_of_accessibility_finds_nothing_serious(shown, file, scheme, width):
+    checker = axe()
+    if checker is None:
+        pytest.skip(NO_AXE)
+    shown.media(Media(scheme))
+    shown.resize(width, 900)
+    opened(shown, file)
+    shown.run("adaptrackPage.advance(60)")
+    shown.run(f"{checker.read_text()};0")
+    found = shown.run("axe.run({runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']})")
+    shown.media(Media())
+    told = {each["id"]: [node["html"][:120] for node in each["nodes"]] for each in found["violations"]
+            if each["impact"] in ("serious", "critical")}  # fmt: skip
+    assert told == {}
+
+
+def test_who_wants_no_motion_gets_steps(file):
+    with Chromium(media=Media(still=True)) as page:
+        page.open(file.as_uri())
+        page.wait(READY)
+        assert not page.run(f"{STATE}.playing")
+        assert page.run("adaptrackPage.page.clock.reduced")
+
+
+# -- out again --------------------------------------------------------------------------------------------------------
+SETUP = {
+    "car": {"sheet": {"mass": 1300, "wheelbase": 2.5}},
+    "road": {"points": [[12 * k, round(9 * np.sin(k / 5), 1)] for k in range(100)], "closed": False, "name": "drawn"},
+    "speed": {"lateral": 2}, "profile": "production", "seed": 5,
+    "truth": {"lag": 0.31, "dead_time": 0.1, "bias": 0.01, "noise": 2, "friction": 0.8, "wind": -4},
+    "controllers": [
+        {
+            "kind": "informed",
+            "tuning": {"Np": 25, "Nc": 6, "Q": 2.5, "R": 300},
+            "belief": {"lag": 0.2, "dead_time": 0.05},
+        },
+        {"kind": "stanley", "tuning": None, "belief": None},
+    ],
+}  # fmt: skip
+
+
+def test_a_link_holds_all_settings_and_a_drawn_road(shown, file):
+    opened(shown, file)
+    shown.run(f"adaptrackPage.start({json.dumps(SETUP)})")
+    assert shown.run(f"{STATE}.notice") == ""
+    shown.run("adaptrackPage.advance(50)")
+    first = shown.run(STATE)
+    link = shown.run("location.hash")
+    assert len(link) < 8000
+    opened(shown, file, link)
+    shown.run("adaptrackPage.advance(50)")
+    again = shown.run(STATE)
+    assert again["setup"] == first["setup"]
+    rows = [[min(each["count"] for each in state["cars"]) for state in (first, again)]]
+    assert min(rows[0]) >= 50
+
+
+@pytest.mark.parametrize("fragment", ["#%E0%A4%A", "#setup=eyJ", "#car=unicorn", "#" + "a" * 100000])
+def test_a_link_that_does_not_fit_says_so_and_drives(shown, file, fragment):
+    opened(shown, file, fragment)
+    assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+# -- what nobody should give ------------------------------------------------------------------------------------------
+DROP = """
+(async (parts, name) => {
+  const file = new File(parts, name), given = new DataTransfer();
+  given.items.add(file);
+  document.getElementById("notice").textContent = "";
+  let longest = 0, before = performance.now();
+  const beat = setInterval(() => {
+    longest = Math.max(longest, performance.now() - before);
+    before = performance.now();
+  }, 5);
+  document.body.dispatchEvent(new DragEvent("drop", {dataTransfer: given, bubbles: true, cancelable: true}));
+  for (let k = 0; k < 500 && !adaptrackPage.state().notice; k++) await new Promise((done) => setTimeout(done, 10));
+  clearInterval(beat);
+  return [adaptrackPage.state().notice, longest];
+})"""
+STRAIGHT = "\n".join(f"{10 * k},0" for k in range(30))
+HOSTILE = {
+    "100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.csv"),
+    "a car of 100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.toml"),
+    "nothing": ("[]", "empty.csv"),
+    "one point": (json.dumps(["x,y\n1,2\n"]), "one.csv"),
+    "the same point": (json.dumps(["1,2\n" * 50]), "same.csv"),
+    "NaN": (json.dumps([STRAIGHT.replace("50,0", "NaN,0")]), "nan.csv"),
+    "infinity": (json.dumps([STRAIGHT.replace("50,0", "inf,0")]), "inf.csv"),
+    "words": (json.dumps(["all work and no play\n" * 100]), "words.csv"),
+    "bytes": ("[new Uint8Array(1e5).map((_, i) => i * 7919 % 251)]", "bytes.csv"),
+    "a kink": (json.dumps([STRAIGHT + "\n290,0\n0,1\n10,1\n"]), "kink.csv"),
+    "a million metres": (json.dumps([STRAIGHT.replace("50,0", "50,1e6")]), "far.csv"),
+    "no car": (json.dumps(["[wheels]\ncount = 3\n"]), "none.toml"),
+    "a torn car": (json.dumps(["mass = [1, 2"]), "torn.toml"),
+    "a weightless car": (json.dumps(["name = 'x'\nmass = 0\n"]), "light.toml"),
+    "deep": (json.dumps(["a = " + "[" * 5000]), "deep.toml"),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_file_that_is_none_gives_a_sentence_and_never_a_frozen_page(shown, file, what):
+    opened(shown, file)
+    parts, name = HOSTILE[what]
+    notice, longest = shown.run(f"{DROP}({parts}, {json.dumps(name)})")
+    assert re.match(r".*\w{3,} .*\w{3,}.*\.$", notice, re.DOTALL), notice
+    assert len(notice) < 400
+    assert longest < 1000.0
+    assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"speed": {"constant": 1e9}}, {"speed": {"constant": -1}}, {"speed": {"lateral": 0}}, {"speed": {}},
+        {"car": {"sheet": {"mass": 0, "wheelbase": 2.5}}}, {"car": {"sheet": {"mass": 1e9, "wheelbase": 2.5}}},
+        {"car": {"name": "unicorn"}}, {"car": {}}, {"road": {"name": "moon"}}, {"road": {"points": []}},
+        {"road": {"points": [[0, 0], [1, 0]]}}, {"profile": "dream"}, {"controllers": []},
+        {"controllers": [{"kind": "witch"}]}, {"truth": {"lag": -1}}, {"truth": {"lag": 1e9}},
+        {"controllers": [{"kind": "informed", "tuning": {"Np": 1e6, "Nc": 1e6, "Q": 1, "R": 1}}]},
+        {"controllers": [{"kind": "informed", "tuning": {"Np": 0, "Nc": -1, "Q": -1, "R": 0}}]},
+        {"controllers": [{"kind": "informed", "belief": {"lag": -1, "dead_time": 1e6}}]},
+    ],
+    ids=json.dumps,
+)  # fmt: skip
+def test_a_setup_that_cannot_be_driven_gives_a_sentence(shown, file, more):
+    if not shown.run("!!window.adaptrackPage"):
+        opened(shown, file)
+    shown.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(more)}}}).catch(() => 0)")
+    assert re.match(r".*\w{3,} .*\w{3,}.*\.$", shown.run(f"{STATE}.notice"))
+    assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+def test_all_sliders_at_their_ends_neither_end_the_page_nor_silence_it(shown, file):
+    opened(shown, file)
+    count = shown.run("(window.sliders = [...document.querySelectorAll('#touch input[type=range]')]).length")
+    assert count >= 10
+    for end in ("max", "min"):
+        for i in range(count):
+            shown.run(
+                f"sliders[{i}].disabled || (sliders[{i}].value = sliders[{i}].{end},"
+                f" sliders[{i}].dispatchEvent(new Event('input', {{bubbles: true}})))"
+            )
+            shown.run("adaptrackPage.advance(5)")
+        shown.run("adaptrackPage.advance(100)")
+    assert shown.said() == []
+    shown.run("adaptrackPage.start(adaptrackPage.state().setup).catch(() => 0)")
+    opened(shown, file)
+    assert shown.run("adaptrackPage.advance(5)") == 5
