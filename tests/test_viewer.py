@@ -150,6 +150,11 @@ def test_a_belief_is_told_with_its_interval_and_the_truth(live):
     assert "a plans 2 moves, the next 0.57°, the largest 1.15° of at most ±1.15°" in live["movesTold"]
 
 
+def test_it_is_told_how_often_the_guard_has_stepped_in(live):
+    assert "Np: 20 periods" in live["guarded"]
+    assert "a: the guard steps in 6 times." in live["guarded"]
+
+
 def test_where_no_motion_is_wanted_the_picture_goes_in_steps(live):
     glided, stepped = live["times"]
     assert glided > 4

@@ -51,6 +51,7 @@ at("pointermove", px + 20, py - 30);
 at("pointerup", px + 20, py - 30);
 Object.assign(found, {pushed, scale: view.scale, follows: view.follow});
 found.told = plots.list.find(plot => plot.name === "lag").describe();
+found.guarded = plots.list.find(plot => plot.name === "horizons").describe();
 found.movesTold = plots.list.find(plot => plot.name === "moves").describe();
 
 // a road drawn by hand, and by keyboard

@@ -69,12 +69,12 @@ const PLOTS = [
   {
     name: "horizons", title: "Horizons chosen", unit: "periods", digits: 0, least: 4,
     lines: [{column: "Np", label: "Np", step: true}, {column: "Nc", label: "Nc", step: true}],
-    marks: {column: "guard", label: "guard"},
+    marks: {column: "guard", label: "the guard steps in"},
   },
   {
     name: "weights", title: "Weights chosen", unit: "", digits: 3, log: true, least: 1,
     lines: [{column: "Q", label: "Q", step: true}, {column: "R", label: "R", step: true}],
-    marks: {column: "guard", label: "guard"},
+    marks: {column: "guard", label: "the guard steps in"},
   },
 ];
 
@@ -507,7 +507,8 @@ function makeTimePlot(spec, history, clock, window_) {
   // -- words
 
   const unit = spec.unit === "°" ? "°" : spec.unit ? ` ${spec.unit}` : "", digits = spec.digits ?? 2;
-  const inUnits = value => `${signed(value, digits)}${unit}`;
+  const figures = value => spec.log ? String(+value.toPrecision(3)) : signed(value, digits);
+  const inUnits = value => `${figures(value)}${unit}`;
 
   function textAt(line, t) {
     const value = valueAt(line.car, line.column, t, line.step) * scale, {band} = spec;
@@ -527,7 +528,8 @@ function makeTimePlot(spec, history, clock, window_) {
   // The values beside the labels.
   function tell() {
     const t = clock.shown, limit = limits.find(each => each.value > 0);
-    write(frame.limit, limit ? ` ${limit.label} ±${inUnits(limit.value * scale)}` : "");
+    if (limit) write(frame.limit, ` ${limit.label} ±${inUnits(limit.value * scale)}`);
+    if (spec.marks) write(frame.limit, marked().length ? ` bars below: ${spec.marks.label}` : "");
     lines.forEach((line, i) => write(values[i], textAt(line, t)));
     if (truthValue) truthValue.parentNode.hidden = !hasTruth();
     if (hasTruth()) write(truthValue, inUnits(truthAt(t)));
@@ -541,6 +543,14 @@ function makeTimePlot(spec, history, clock, window_) {
     const said = lines.map(line => `${line.name} ${textAt(line, t)}`);
     if (hasTruth()) said.push(`true ${inUnits(truthAt(t))}`);
     return said.join(", ");
+  }
+
+  // The counts that have grown up to the instant that is shown.
+  function marked() {
+    if (!spec.marks) return [];
+    const {column, label} = spec.marks;
+    const counts = history.cars.map(car => [car.name, valueAt(car, column, clock.shown, true)]);
+    return counts.filter(([, count]) => count > 0).map(([name, count]) => ` ${name}: ${label} ${count} times.`);
   }
 
   // Of a line in the window: least and largest, and when each was.
@@ -570,7 +580,7 @@ function makeTimePlot(spec, history, clock, window_) {
     const above = limits.filter(({value}) => value > 0);
     const met = above.map(({label, value}) => ` The ${label} is ±${inUnits(value * scale)}.`);
     const now = `${spec.title} at ${signed(clock.shown, 2)} s: ${spoken(clock.shown)}.`;
-    return `${now} ${ends}${lines.map(rangeText).join("")}${met.join("")}`;
+    return `${now} ${ends}${[...lines.map(rangeText), ...met, ...marked()].join("")}`;
   }
 
   listenTo(plot, clock, px => toValue(px, 0)[0]);
