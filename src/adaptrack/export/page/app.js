@@ -33,7 +33,7 @@ class Refusal extends Error {
 async function makeEngine(died) {
   const {engine: worker, data} = await begin();
   const waiting = [];  // in the order in which they were asked
-  let drives = 0, reads = 0, over = false;
+  let drives = 0, texts = 0, over = false;
 
   function die(why) {
     if (over) return;
@@ -73,7 +73,7 @@ async function makeEngine(died) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
       if (message.type === "start") forget();
       if (message.type === "start") drives++;
-      const id = message.type === "read" ? `read ${++reads}` : drives;
+      const id = message.type === "read" || message.type === "write" ? `text ${++texts}` : drives;
       return new Promise((take, fail) => {
         const watch = setTimeout(() => die("the simulation gave no answer"), 1000 * seconds);
         waiting.push({id, answer: ANSWER[message.type], take, fail, watch});
@@ -91,10 +91,19 @@ const page = {
   on(name, f) { (listeners[name] ??= []).push(f); },
   tell(name, ...words) { for (const f of listeners[name] ?? []) f(...words); },
   notice(text) {
-    byId("notice").textContent = text;
+    byId("notice").textContent = shortened(text);
     byId("notice").hidden = !text;
   },
 };
+
+// As many sentences of a long message as one reads.
+const MOST_LETTERS = 300;
+function shortened(text) {
+  const lines = text.split("\n");
+  let kept = lines[0].length > MOST_LETTERS ? `${lines[0].slice(0, MOST_LETTERS)} ….` : lines[0], count = 1;
+  while (count < lines.length && kept.length + lines[count].length < MOST_LETTERS) kept += ` ${lines[count++]}`;
+  return count < lines.length ? `${kept} And ${lines.length - count} more.` : kept;
+}
 
 async function engineOfPage() {
   if (page.engine && !page.engine.dead) return page.engine;
@@ -119,29 +128,39 @@ function engineDied(why) {
 
 let asked = 0;
 async function start(setup, {playing = null, keepNotice = false} = {}) {
-  const number = ++asked, wasPlaying = page.clock.playing;
+  const number = ++asked, plays = playing ?? page.clock.playing, before = page.setup;
   if (!keepNotice) page.notice("");
-  let started;
   try {
-    const engine = await engineOfPage();
-    started = await engine.ask({type: "start", setup});
+    return await begun(setup, number, plays);
   } catch (error) {
     if (number !== asked) return null;
-    refused(error, setup);
+    // the engine has ended the drive that was; it begins anew, the first of the page where there was none
+    if (error instanceof Refusal) await begun(before ?? firstSetup(), number, plays).catch(() => {});
+    if (number === asked) refused(error, setup);
     throw error;
   }
-  if (number !== asked) return null;  // another one was chosen meanwhile
+}
+
+// Null where another drive was asked for meanwhile.
+let beginning = 0;  // drives that were asked for: meanwhile none goes on, as its frames would be the next one's
+
+async function begun(setup, number, plays) {
+  const engine = await engineOfPage();
+  beginning++;
+  const started = await engine.ask({type: "start", setup}).finally(() => { beginning--; });
+  if (number !== asked) return null;
   page.setup = setup;
   page.drive = beginDrive(started);
   page.clock.restart({start: 0, end: 0, period: started.period, limit: Math.min(started.duration ?? Infinity, LONGEST)});
   page.tell("setup");
   page.tell("started");
-  if (playing ?? wasPlaying) page.clock.play();
+  if (plays) page.clock.play();
   return started;
 }
 
 function beginDrive(started) {
-  const history = makeHistory(started, {top: 0.5, shades: page.data.shades ?? TRAIL});
+  const history = makeHistory(started, {top: 0.5, shades: TRAIL});
+  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
   return {started, history, busy: false, over: false, touches: []};
 }
 
@@ -159,7 +178,7 @@ function refused(error, setup) {
 
 async function advance(periods) {
   const {drive} = page;
-  if (!drive || drive.over) return 0;
+  if (!drive || drive.over || beginning) return 0;
   drive.busy = true;
   try {
     const frames = await page.engine.ask({type: "advance", periods});
@@ -287,9 +306,8 @@ function makeScore() {
   const parts = cars.map((car, i) => {
     const part = document.createElement("div");
     part.id = `score-${i}`;
-    part.innerHTML = `<span class="who"><i class="${i ? "second" : ""}" style="background: var(--series-${i})"></i><span></span></span>
+    part.innerHTML = `<span class="who"><i style="background: var(--series-${i})">${cars.length > 1 ? i + 1 : ""}</i><span id="who-drives-${i}"></span></span>
 <strong class="number" id="error-${i}" data-score="error"></strong><span class="rest" id="rest-${i}" data-score="rest"></span>`;
-    part.querySelector(".who > span").textContent = nameOfCar(i);
     box.append(part);
     return part;
   });
@@ -305,14 +323,15 @@ function showScore() {
   const t = clock.t;
   const sentences = [];
   drive.history.cars.forEach((car, i) => {
-    const failed = car.failed !== null && t >= car.failed - 1e-9;
+    const failed = hasFailed(car, t);
     const last = errorBetween(car, t - WINDOW, t), whole = errorBetween(car, 0, t);
     const [number, unit] = asLength(last.rms);
+    setText(byId(`who-drives-${i}`), nameOfCar(i));
     byId(`score-${i}`).classList.toggle("failed", failed);
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
-      ? `at ${car.failed.toFixed(1)} s; until then ${lengthText(whole.rms)}`
-      : `RMS error, last ${WINDOW} s · all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
+      ? `at ${car.failed.toFixed(1)} s\nRMS error until then ${lengthText(whole.rms)}`
+      : `RMS error, last ${WINDOW} s\nof all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
     if (failed) sentences.push(failureSentence(car, i));
   });
   const verdict = byId("verdict"), over = drive.over && t >= clock.limit - 1e-6;
@@ -322,11 +341,14 @@ function showScore() {
   setText(verdict, sentences.join(" "));
 }
 
+// As the picture has it: from its last instant on.
+const hasFailed = (car, t) => car.failed !== null && t >= Math.min(car.failed, car.columns.time[car.count - 1]) - 1e-9;
+
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /, "");
+const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /i, "").replace(/\.$/, "");
 
 // What happened, and what helps.
 function failureSentence(car, i) {
@@ -349,7 +371,10 @@ function remedy(setup, controller, i) {
 
 // ---- pictures
 
-const PLOT_SETS = {few: ["error", "steering"], all: null, paper: ["path", "error", "steering"]};
+const PLOT_SETS = {
+  few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], schedule: ["error", "horizons", "weights", "steering"],
+  paper: ["path", "error", "steering"], all: null,
+};
 let plotSet = "few";
 
 function showPictures() {
@@ -368,9 +393,11 @@ function showPictures() {
   page.view.followCar();
 }
 
-function choosePlots(name) {
-  plotSet = name;
-  byId("plot-choice").value = name === "all" ? "all" : "few";
+function choosePlots(wanted) {
+  const name = wanted === "paper" && !page.setup?.road.test ? "few" : wanted;
+  plotSet = wanted;
+  byId("plot-choice").value = name;
+  byId("plot-choice").querySelector("[value=paper]").disabled = !page.setup?.road.test;
   page.plots?.choose(PLOT_SETS[name]);
 }
 
@@ -397,10 +424,14 @@ function showKey() {
 // ---- everything together
 
 const TRAIL = ["#2c7bb6", "#4b9ac0", "#7fbcc9", "#b9d8c4", "#e8e0a6", "#f5b866", "#e88047", "#d1422f"];
-let ticked = 0, begun = false;
+let ticked = 0, ready = false, later = 0;
 
 function tick(now) {
-  if (now - ticked < 180) return;
+  clearTimeout(later);
+  if (now - ticked < 180) {
+    later = setTimeout(page.clock.ask, 200);
+    return;
+  }
   ticked = now;
   showScore();
   page.tell("tick");
@@ -428,7 +459,7 @@ async function main() {
     page.notice(error instanceof Refusal ? byId("notice").textContent || error.message : `The page could not begin: ${error.message}`);
   }
   addEventListener("hashchange", followAddress);
-  begun = true;
+  ready = true;
 }
 
 async function followAddress() {
@@ -440,7 +471,7 @@ async function followAddress() {
 
 // For tests, and for who looks inside.
 window.adaptrackPage = {
-  get ready() { return begun; },
+  get ready() { return ready; },
   start: (setup, options) => start(setup, options),
   advance: advanceBy,
   change: (car, what, said) => change(car, what, said),
