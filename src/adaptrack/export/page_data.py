@@ -16,6 +16,7 @@ from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, l
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
@@ -48,19 +49,6 @@ RECORDS = (
     rollout.Run, rollout.Counts, Span, road.Centreline, Order, Parts, Constants, car.Car, car.KnownWithin, car.Steering, laws.Common,
     plant.Chassis, plant.Tyre, plant.Actuator, plant.Body, plant.Outline, along.Along, speed.Planning, drive.RoadDrive,
 )  # fmt: skip
-CALLED = (
-    "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
-    "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
-    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
-    "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
-    "drive_samples", "drive_start", "complete_samples", "run_sizes", "mpc_prepare", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
-)  # fmt: skip
-"""What the engine calls; what it links besides are members."""
-MEMBERS = (
-    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
-    *(f"dual_track_{tyre}_{what}" for tyre in ("linear", "magic", "curved") for what in ("advance", "observe")),
-)  # fmt: skip
-"""Functions whose addresses are in records."""
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
