@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
-from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
@@ -88,7 +88,7 @@ def page_data() -> dict[str, Any]:
     """All of it."""
     return _plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
-        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
+        "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
         "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
         "no_schedule": image(no_schedule()),
@@ -124,9 +124,8 @@ def _sizes() -> dict[str, int]:
     }  # fmt: skip
 
 
-def _car(name: str) -> dict[str, Any]:
+def page_car(made: Vehicle) -> dict[str, Any]:
     """A car as the page reads it from a file."""
-    made = load_vehicle(name)
     sections = ("steering", "body", "known_within", "domain")
     return {
         "name": made.name, "description": made.description,

@@ -88,7 +88,16 @@ function carOfSheet(typed) {
   return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
-function carOfFile(car) {
+/** A car with all its sections: what a link leaves out is as in a car file that does not say it. */
+function complete(car) {
+  const { sections, tyres } = written.inputs, tyre = car.tyre?.name ?? sections[""].find(({ key }) => key === "tyre").default;
+  const domain = Object.fromEntries(sections.domain.map((each) => [each.key, car.domain?.[each.key] ?? each.default]));
+  if (!car.tyre?.numbers && !tyres[tyre]) throw new Refusal("car", `There is no tyre named “${tyre}”: choose one of ${Object.keys(tyres).join(", ")}.`);
+  return { body: {}, steering: {}, known_within: null, numbers: {}, ...car, domain, tyre: { name: tyre, numbers: car.tyre?.numbers ?? tyres[tyre] } };
+}
+
+function carOfFile(given) {
+  const car = complete(given);
   const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
   const [flaw, ratio] = memory.call("car_flaw", row);
