@@ -297,7 +297,7 @@ function samplesOf(setup, of, car, world) {
   const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
   const laps = of.closed ? Math.max(1, Math.floor(AN_HOUR / plan.duration)) : 1;
   const periods = memory.call("drive_periods", plan.duration, laps, period);
-  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods: 1 to ${MOST_SAMPLES} are possible.`);
+  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods; 1 to ${MOST_SAMPLES} are possible: drive faster, or take another road.`);
   const route = { ...plan.route, friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)) };
   const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
   const drive = mine(memory.make("planning.drive.RoadDrive", {
