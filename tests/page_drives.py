@@ -47,7 +47,9 @@ PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SH
 
 
 def _setup(car, road, speed, profile, *controllers, seed=1, **truth):
-    made = [{"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers]
+    made = [
+        {"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers
+    ]
     nothing = dict.fromkeys(("lag", "dead_time", "bias", "noise", "friction", "wind"))
     return {"car": car, "road": road, "speed": speed, "profile": profile, "truth": nothing | truth, "seed": seed,
             "controllers": made}  # fmt: skip

@@ -76,7 +76,9 @@ def frames(answers):
     started = next(each for each in answers if each["type"] == "started")
     found = []
     for k, car in enumerate(started["cars"]):
-        rows = [each["cars"][k]["numbers"].reshape(-1, len(car["columns"])) for each in answers if each["type"] == "frames"]
+        rows = [
+            each["cars"][k]["numbers"].reshape(-1, len(car["columns"])) for each in answers if each["type"] == "frames"
+        ]
         found.append(dict(zip(car["columns"], np.concatenate(rows).T, strict=True)))
     return found
 
