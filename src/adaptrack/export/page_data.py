@@ -206,7 +206,7 @@ def _words() -> dict[str, Any]:
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
                  "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
-                 "No speed can be planned on this road."],
+                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0."],
         "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
                   "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",
