@@ -16,6 +16,7 @@ from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, loa
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
@@ -49,24 +50,6 @@ RECORDS = (
     plant.Body, plant.Outline,
 )  # fmt: skip
 """What the engine lays into memory."""
-CALLED = (
-    # a car, and a road with its speed and samples
-    "complete_car", "car_flaw", "static_loads", "overhangs", "outline_of", "path_words", "path_through", "path_parts",
-    "heading_count", "headings_along", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant",
-    "drive_periods", "drive_samples", "drive_start", "complete_samples",
-    # a world, and a controller
-    "plant_parameters", "plant_substeps", "plant_law", "dead_periods", "usual_filter", "informed_parts",
-    "informed_sizes", "informed_constants", "published_constants", "steering_delay", "pure_pursuit_parameters",
-    "stanley_parameters", "lqr_parameters",
-    # a drive
-    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
-)  # fmt: skip
-"""What the engine calls; what it links besides are members."""
-MEMBERS = (
-    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
-    *(f"dual_track_{tyre}_{what}" for tyre in ("linear", "magic", "curved") for what in ("advance", "observe")),
-)  # fmt: skip
-"""Functions whose addresses are in records."""
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
