@@ -194,10 +194,10 @@ function advanceCar(own, count) {
 /** The rows of a table from one on. */
 const below = (block, row) => view(block, row * block.shape[1], [block.shape[0] - row, block.shape[1]]);
 
-const ENDINGS = ["It came to the end.", "It left the road.", "It spun.", "Its motion is no number any more.",
-  "It never came near the road.", "It was stopped."];
+const ENDINGS = [null, "it left the road", "it spun", "its motion is no number any more", "it never came near the road",
+  "it was stopped"];
 
-/** Why and when a car has ended; null while it drives. */
+/** When a car has ended, and why: null at the end of its road; null while it drives. */
 function ending({ run, span }) {
   const own = run.memory.own.row(0);
   if (own.ended === 0 && own.instant < span.periods) return null;

@@ -61,7 +61,7 @@ const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Arra
 /** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
 function carOf(given) {
   if (given?.sheet) return carOfSheet(given.sheet);
-  if (given?.file) return carOfFile(given.file);
+  if (given?.file) return carOfFile(readBy("car", () => inputs.checkedCar(given.file, written.inputs)));
   const known = written.cars[given?.name];
   if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
   return carOfFile(known);
@@ -88,16 +88,7 @@ function carOfSheet(typed) {
   return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
-/** A car with all its sections: what a link leaves out is as in a car file that does not say it. */
-function complete(car) {
-  const { sections, tyres } = written.inputs, tyre = car.tyre?.name ?? sections[""].find(({ key }) => key === "tyre").default;
-  const domain = Object.fromEntries(sections.domain.map((each) => [each.key, car.domain?.[each.key] ?? each.default]));
-  if (!car.tyre?.numbers && !tyres[tyre]) throw new Refusal("car", `There is no tyre named “${tyre}”: choose one of ${Object.keys(tyres).join(", ")}.`);
-  return { body: {}, steering: {}, known_within: null, numbers: {}, ...car, domain, tyre: { name: tyre, numbers: car.tyre?.numbers ?? tyres[tyre] } };
-}
-
-function carOfFile(given) {
-  const car = complete(given);
+function carOfFile(car) {
   const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
   const [flaw, ratio] = memory.call("car_flaw", row);
