@@ -193,7 +193,9 @@ def ask_live(script):
     collect = COLLECT.replace("replay = window.adaptrackReplay", "{live} = window").replace(
         'const canvas = document.querySelector("#replay-view canvas");', "const {canvas} = live;"
     )
-    page = f"<!doctype html><meta charset='utf-8'><link rel='icon' href='data:,'>{style}{LIVE % scripts}{collect % script}"
+    page = (
+        f"<!doctype html><meta charset='utf-8'><link rel='icon' href='data:,'>{style}{LIVE % scripts}{collect % script}"
+    )
     found, said = browser.ask({"/": Served(page, NOTHING_ELSE)})
     assert found["failures"] == []
     assert said == []

@@ -18,9 +18,9 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.drive.trajectory import Trajectory
-from adaptrack.drive.simulate import rollouts
 from adaptrack.drive.batch import Batch
+from adaptrack.drive.simulate import rollouts
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed, road_through
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
@@ -33,7 +33,7 @@ TESTS = ("triple-lane-change", "general-trajectory")
 
 def _oval() -> Road:
     radius, into = 80.0, 60.0
-    bend = [Clothoid(length=into, start_curvature=0.0, end_curvature=1.0 / radius),
+    bend: list[Any] = [Clothoid(length=into, start_curvature=0.0, end_curvature=1.0 / radius),
             Arc(length=math.pi * radius - into, curvature=1.0 / radius),
             Clothoid(length=into, start_curvature=1.0 / radius, end_curvature=0.0)]  # fmt: skip
     return Road.from_segments([Line(length=200.0), *bend] * 2, closed=True, name="oval", speed_limit=40.0)

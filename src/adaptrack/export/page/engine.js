@@ -7,6 +7,7 @@
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
 //   -> {type: "read", id, what, text, name}      <- {type: "read", id, what, ...}      what: "car file" or "csv", see inputs.js
 //   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
+//   -> {type: "memory", id}                      <- {type: "memory", id, bytes, all}
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
 // A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
@@ -37,16 +38,13 @@ function load({ kernels, data }) {
 function start({ id, setup }) {
   end();
   const made = { setup, owned: [], cars: [], done: 0 };
-  owning(made.owned);
   try {
-    begin(made, setup);
-  } catch (error) {
-    drive = made;
-    end();
-    throw error;
+    owning(made.owned, () => begin(made, setup));
+  } finally {
+    drive = made; // what there is of it
+    if (!made.begun) end();
   }
-  drive = made;
-  return [started(id, drive)];
+  return [owning(made.owned, () => started(id, made))];
 }
 
 function begin(made, setup) {
@@ -57,28 +55,34 @@ function begin(made, setup) {
   const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
   const samples = samplesOf(setup, of, car, world);
   Object.assign(made, { world, car, of, samples, seed });
-  asked.forEach((entry, k) => {
-    const where = `controller ${k + 1}`;
-    made.cars.push(carRun(entry, made, where));
-  });
+  asked.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
+  made.begun = true;
 }
 
 /** A car of its own with its controller, before its first instant. */
-function carRun(entry, { world, car, of, samples, seed }, where) {
-  const own = { entry, where, world: { ...world, settings: { ...world.settings }, actuator: copied("synthesis.plant.Actuator", world.actuator.$numbers) }, sensors: {} };
-  own.controller = controllerOf(entry, car, own.world, where);
-  own.parts = laid(own.controller, of);
+function carRun(entry, made, where) {
+  const { world, car, samples } = made, actuator = copied("synthesis.plant.Actuator", world.actuator.$numbers);
+  const own = { entry: { ...entry }, where, world: { ...world, settings: { ...world.settings }, actuator }, sensors: {}, made: [], shown: null };
+  made.cars.push(own);
   own.plant = plantOf(car, own.world, topSpeedOf(samples));
   own.measured = mine(memory.array("F", [written.sizes.measured]));
-  own.run = memory.make("rollout.Run", runOf(own, { car, of, samples, seed }));
   own.span = mine(memory.row("period.Span", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
-  memory.call("mpc_prepare", own.run.mpc);
-  memory.call("begin_runs", 1, own.run);
+  owning(own.made, () => {
+    const controller = controllerOf(entry, car, own.world, where);
+    Object.assign(own, ready(own, controller, made));
+  });
   own.columns = [...written.frame, ...own.parts.said];
   own.horizon = own.run.mpc.settings.longest_horizon;
   own.moves = own.run.mpc.settings.most_moves;
-  own.shown = null;
-  return own;
+}
+
+/** A run with a controller, before its first instant. */
+function ready(own, controller, made) {
+  const parts = laid(controller, made.of);
+  const run = memory.make("rollout.Run", runOf({ ...own, controller, parts }, made));
+  memory.call("mpc_prepare", run.mpc);
+  memory.call("begin_runs", 1, run);
+  return { controller, parts, run };
 }
 
 function topSpeedOf({ signals }) {
@@ -116,7 +120,10 @@ const linked = (name) => ({ function: name });
 const NO_ROAD = { of: [-1n] };
 
 function end() {
-  for (const own of drive?.cars ?? []) [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
+  for (const own of drive?.cars ?? []) {
+    [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
+    forget(own.made);
+  }
   if (drive) forget(drive.owned);
   drive = null;
 }
@@ -133,13 +140,10 @@ function started(id, { world, of, samples, cars, car }) {
   };
 }
 
-/** What bounds a controller: its moves and angles (rad), horizons; the steering itself. */
+/** What bounds a controller, to either side: changes of its command in a period and the command (rad); horizons. */
 function limitsOf(own) {
   const { known, law } = own.controller, from = law ? known.common : own.run.mpc.settings;
-  return {
-    move: [real(from.move_min), real(from.move_max)], angle: [real(from.angle_min), real(from.angle_max)],
-    Np: own.horizon, Nc: own.moves, steering: own.run.settings.steering_limit,
-  };
+  return { move: real(from.move_max), angle: real(from.angle_max), Np: own.horizon, Nc: own.moves };
 }
 const namedTuning = (own) => Object.fromEntries(own.controller.known.tuning_names.map((name, k) => [name, own.controller.tuning[k]]));
 /** What a controller believes of the steering at first: lag, dead time (s); null where it does not say. */
@@ -183,17 +187,17 @@ function advanceCar(own, count) {
   }
   const cut = (block) => block.values.slice(0, driven * block.shape[1]);
   return {
-    count: driven, numbers: cut(numbers), predicted: Float32Array.from(cut(predicted)), moves: Float32Array.from(cut(moves)),
+    count: driven, numbers: cut(numbers), predicted: new Float32Array(cut(predicted)), moves: new Float32Array(cut(moves)),
     ended: ending(own),
   };
 }
 /** The rows of a table from one on. */
 const below = (block, row) => view(block, row * block.shape[1], [block.shape[0] - row, block.shape[1]]);
 
-const ENDINGS = ["It came to the end.", "It left the road.", "It spun.", "Its motion is no number any more.",
-  "It never came near the road.", "It was stopped."];
+const ENDINGS = [null, "it left the road", "it spun", "its motion is no number any more", "it never came near the road",
+  "it was stopped"];
 
-/** Why and when a car has ended; null while it drives. */
+/** When a car has ended, and why: null at the end of its road; null while it drives. */
 function ending({ run, span }) {
   const own = run.memory.own.row(0);
   if (own.ended === 0 && own.instant < span.periods) return null;
@@ -204,7 +208,6 @@ function ending({ run, span }) {
 function change({ id, car, what }) {
   const touched = current().cars.filter((_, k) => car === null || car === undefined || car === k);
   if (!touched.length) throw new Refusal("drive", `There is no car ${car}.`);
-  owning(drive.owned);
   for (const [name, value] of Object.entries(what ?? {})) {
     const touch = TOUCHES[name];
     if (!touch) throw new Refusal("drive", `Nothing is known of a change of “${name}”.`);
@@ -230,31 +233,32 @@ function tuning(cars, given) {
 /** Another belief: the controller is made anew, but for its command, its plan and its tuning. */
 function belief(cars, given) {
   for (const own of cars) {
-    const { controller, where, entry } = own;
+    const { controller, where, entry } = own, made = [];
     if (!controller.order) throw new Refusal(where, "This controller believes nothing of the steering.");
     const believed = { ...entry.belief, ...given };
-    const made = controllerOf({ ...entry, belief: believed, tuning: null }, drive.car, own.world, where);
-    const parts = laid({ ...made, settings: made.settings.$set({ longest_horizon: own.horizon, most_moves: own.moves }) }, drive.of);
+    owning(made, () => {
+      const other = controllerOf({ ...entry, belief: believed, tuning: null }, drive.car, own.world, where);
+      other.settings.$set({ longest_horizon: own.horizon, most_moves: own.moves });
+      exchange(own, { ...other, tuning: controller.tuning });
+    });
+    forget(own.made);
+    own.made = made;
     entry.belief = believed;
-    exchange(own, { ...made, tuning: controller.tuning }, parts);
   }
 }
 
 /** Put another controller into a run that goes on. */
-function exchange(own, controller, parts) {
-  const old = own.run, { command } = old.mpc.memory.row(0), kept = old.mpc.memory.row(0).$numbers;
-  const given = runOf({ ...own, controller, parts }, drive);
-  const run = memory.make("rollout.Run", given);
-  memory.call("mpc_prepare", run.mpc);
-  memory.call("begin_runs", 1, run);
-  for (const name of ["vehicles", "memory", "given"]) keepArrays(run[name], old[name]);
+function exchange(own, controller) {
+  const old = own.run, kept = old.mpc.memory.row(0).$numbers;
+  const other = ready(own, controller, drive), { run } = other;
+  for (const name of ["vehicles", "memory", "given", "schedule"]) keepArrays(run[name], old[name]);
   run.settings.$copy(old.settings);
   run.result.row(0).$copy(old.result.row(0));
-  keepArrays(run.schedule, old.schedule);
-  Object.assign(run.mpc.memory.row(0), { command, reference: kept.reference, planned: kept.planned, age: kept.age });
+  const { command, reference, planned, age } = kept;
+  run.mpc.memory.row(0).$set({ command, reference, planned, age });
   run.mpc.plan.values.set(old.mpc.plan.values.subarray(0, run.mpc.plan.values.length));
   memory.free(old);
-  Object.assign(own, { run, controller, parts });
+  Object.assign(own, other);
 }
 /** Take over the contents of the arrays of a record that were laid alike. */
 function keepArrays(record, other) {
@@ -374,7 +378,10 @@ function write({ id, what, columns }) {
 }
 
 // -- messages ---------------------------------------------------------------------------------------------------------
-const ANSWERS = { load, start, advance, change, read, write };
+/** Bytes of the kernels' memory that are in use, and of all of it. */
+const used = ({ id }) => [{ type: "memory", id, bytes: memory.used, all: memory.exports.memory.buffer.byteLength }];
+
+const ANSWERS = { load, start, advance, change, read, write, memory: used };
 
 function answers(message) {
   const answer = ANSWERS[message?.type];

@@ -1,8 +1,9 @@
-// What a user gives: a car file, a data sheet, points of a road; and a drive as CSV. Everything else is refused in words.
+// What a user gives: a car file, a data sheet, points of a road; and a drive as CSV. All else is refused in words.
 //
 //   inputs.readCarFile(text, given, {name, others})  a car: {name, description, numbers, estimated, steering, body,
 //       known_within (null: no such section), domain, tyre: {name, numbers}}; what is not known is null. others: texts
 //       of other files that were dropped with it, by name, among which its tyre may be.
+//   inputs.checkedCar(car, given)        the same of such a car that comes from elsewhere, such as a link
 //   inputs.readSheet(typed, given)       {name, mass, wheelbase, load, truck, known}, for the kernel complete_car
 //   inputs.carOfSheet(sheet, car, within, given)     the car, of the rows that complete_car has written, by name
 //   inputs.readPoints(text, given, {closed, name})   {name, points: Float64Array x, y, x, y, ..., count, lines, closed,
@@ -49,7 +50,7 @@ const inputs = (() => {
 
   const rounded = (x) => String(Number(x.toPrecision(3)));
 
-  // -- names that are nearly right ------------------------------------------------------------------------------------
+  // -- names that are nearly right -----------------------------------------------------------------------------------
   /** The share of letters that two names have in common, in their order. */
   function likeness(a, b) {
     let row = new Array(b.length + 1).fill(0);
@@ -74,7 +75,7 @@ const inputs = (() => {
     return near ? `Did you mean "${near}"?` : `Known: ${known.map((each) => `"${each}"`).join(", ")}.`;
   }
 
-  // -- TOML: what car files are written in ------------------------------------------------------------------------------
+  // -- TOML: what car files are written in ---------------------------------------------------------------------------
   const NUMBER = /^[+-]?(0|[1-9](_?\d)*)(\.\d(_?\d)*)?([eE][+-]?\d(_?\d)*)?$/;
   const OTHER_BASE = /^0(x[0-9a-fA-F](_?[0-9a-fA-F])*|o[0-7](_?[0-7])*|b[01](_?[01])*)$/;
   const ESCAPES = { b: "\b", t: "\t", n: "\n", f: "\f", r: "\r", '"': '"', "\\": "\\" };
@@ -159,7 +160,7 @@ const inputs = (() => {
   function readHeader(reader, root) {
     const line = reader.line;
     reader.at++;
-    if (reader.text[reader.at] === "[") refuse("[[...]]: a list of sections, which no car file has: write [...].", line);
+    if (reader.text[reader.at] === "[") refuse("[[...]]: a list of sections; no car file has one: write [...].", line);
     const keys = readKeys(reader);
     if (reader.text[reader.at] !== "]") refuse(`[${keys.join(".")}: the bracket "]" is missing.`, line);
     reader.at++;
@@ -252,7 +253,8 @@ const inputs = (() => {
     const code = digits ? reader.text.slice(reader.at + 1, reader.at + 1 + digits) : "";
     const number = new RegExp(`^[0-9a-fA-F]{${digits || 9}}$`).test(code) ? parseInt(code, 16) : -1;
     if (number <= 0 || number > 0x10ffff || (number >= 0xd800 && number < 0xe000)) {
-      refuse(`"\\${name ?? ""}${code}" is no character: write \\\\ for a backslash, or the text in '...'.`, reader.line);
+      const remedy = "write \\\\ for a backslash, or the text in '...'.";
+      refuse(`"\\${name ?? ""}${code}" is no character: ${remedy}`, reader.line);
     }
     reader.at += digits;
     return String.fromCodePoint(number);
@@ -296,7 +298,7 @@ const inputs = (() => {
     return table;
   }
 
-  // -- a section against its fields ---------------------------------------------------------------------------------------
+  // -- a section against its fields ----------------------------------------------------------------------------------
   function bracketed(field) {
     return field.meaning ? ` (${field.meaning})` : "";
   }
@@ -336,9 +338,12 @@ const inputs = (() => {
     if (!Array.isArray(value)) return "must be a list of keys, in brackets.";
     const known = given.sections[""].filter((each) => each.kind === "number").map((each) => each.key);
     const wrong = value.find((each) => !known.includes(each.value));
-    return wrong === undefined ? null : `${shown(wrong.value)} is no number of a car. ${didYouMean(String(wrong.value), known)}`;
+    if (wrong === undefined) return null;
+    return `${shown(wrong.value)} is no number of a car. ${didYouMean(String(wrong.value), known)}`;
   }
 
+  const byKey = (fields, value) => Object.fromEntries(fields.map((each) => [each.key, value(each)]));
+  const nameOf = (answers, status) => Object.keys(answers).find((each) => answers[each] === status);
   const plain = (value) => (Array.isArray(value) ? value.map((each) => plain(each.value)) : value);
 
   /** The values of a section by key, defaults for what is left out; what is wrong goes to problems. */
@@ -367,17 +372,21 @@ const inputs = (() => {
 
   function unknownKey(name, key, known, given) {
     const place = name ? `${name}.${key}` : key;
-    const home = Object.keys(given.sections).find((each) => each && given.sections[each].some((field) => field.key === key));
-    if (home && home !== name && !nearest(key, known)) return `${shown(place)}: unknown key; it belongs into the section [${home}].`;
+    const has = (section) => given.sections[section].some((field) => field.key === key);
+    const home = Object.keys(given.sections).find((each) => each && each !== name && has(each));
+    if (home && !nearest(key, known)) return `${shown(place)}: unknown key; it belongs into the section [${home}].`;
     return `${shown(place)}: unknown key. ${didYouMean(key, known)}`;
   }
 
-  // -- a car file ---------------------------------------------------------------------------------------------------------
+  // -- a car file ----------------------------------------------------------------------------------------------------
   const PARTS = ["steering", "body", "known_within", "domain"];
 
   function readCarFile(text, given, { name = "car", others = {} } = {}) {
-    const table = readToml(text), problems = [];
-    const car = readSection("", withoutSection(table, "tyre"), given, problems, PARTS);
+    return carOfTable(readToml(text), given, name, others);
+  }
+
+  function carOfTable(table, given, name, others) {
+    const problems = [], car = readSection("", withoutSection(table, "tyre"), given, problems, PARTS);
     const made = { name: car.name ?? name, description: car.description, estimated: car.estimated, numbers: {} };
     for (const field of given.sections[""]) if (field.kind === "number") made.numbers[field.key] = car[field.key];
     for (const part of PARTS) made[part] = readPart(part, table.get(part), given, problems);
@@ -385,6 +394,42 @@ const inputs = (() => {
     made.tyre = readTyre(table.get("tyre"), given, others, problems);
     if (problems.length) throw new InputError(problems.sort((a, b) => (a.line ?? Infinity) - (b.line ?? Infinity)));
     return made;
+  }
+
+  function checkedCar(car, given) {
+    const table = tableOf({ ...car, ...car?.numbers }), tyre = table.get("tyre")?.value;
+    for (const key of ["numbers", "name"]) table.delete(key);
+    if (tyre instanceof Map) table.set("tyre", { ...table.get("tyre"), value: keysOfTyre(tyre, given) });
+    return carOfTable(table, given, typeof car?.name === "string" ? car.name : "car", {});
+  }
+
+  /** Plain data as `readToml` gives it; what is null is left out. */
+  function tableOf(data, depth = 0) {
+    const found = new Map();
+    for (const [key, value] of Object.entries(data ?? {})) {
+      if (value === null || value === undefined) continue;
+      found.set(key, nodeOf(value, depth));
+    }
+    return found;
+  }
+
+  function nodeOf(value, depth) {
+    if (depth > DEEPEST) refuse(`more than ${DEEPEST} tables in one another.`);
+    if (Array.isArray(value)) return { value: value.map((each) => nodeOf(each, depth + 1)), line: null, text: "[...]" };
+    if (typeof value === "object" && value) return { value: tableOf(value, depth + 1), line: null, text: "a section" };
+    return { value, line: null, text: shown(value) };
+  }
+
+  /** A tyre's row by the keys of its file. */
+  function keysOfTyre(tyre, given) {
+    const rows = tyre.get("numbers")?.value, found = new Map([...tyre].filter(([key]) => key === "name"));
+    if (!(rows instanceof Map)) return found;
+    for (const field of given.sections.tyre) {
+      const node = rows.get(field.row);
+      if (node && field.kind === "number") found.set(field.key, node);
+      if (node && field.kind === "choice") found.set(field.key, { ...node, value: field.words[node.value] ?? node.value });
+    }
+    return found;
   }
 
   function withoutSection(table, key) {
@@ -404,13 +449,13 @@ const inputs = (() => {
     const rate = steering?.rate, said = node?.value instanceof Map ? node.value.get("rate") : null;
     if (!said || typeof rate !== "number" || !(rate > given.fastest_rate)) return;
     problems.push(problem(
-      `steering.rate = ${said.text}: no road wheels turn so fast; cars have 0.3 to 1 rad/s. Of degrees per second give ` +
-        `${rounded((rate * Math.PI) / 180)}; of a rate at the steering wheel, that over the ratio.`,
+      `steering.rate = ${said.text}: no road wheels turn so fast; cars have 0.3 to 1 rad/s. Of degrees per second ` +
+        `give ${rounded((rate * Math.PI) / 180)}; of a rate at the steering wheel, that over the ratio.`,
       said.line, "steering.rate",
     ));
   }
 
-  /** {name, numbers}: of ours by name, of another file that is at hand, or of a section with the keys of a tyre file. */
+  /** {name, numbers}: ours by its name, another file's that is at hand, or a section's with the keys of a tyre file. */
   function readTyre(node, given, others, problems) {
     const field = given.sections[""].find((each) => each.key === "tyre");
     const named = node ? node.value : field.default;
@@ -459,18 +504,18 @@ const inputs = (() => {
     return { name: found.name ?? name, numbers };
   }
 
-  // -- what kernels say of a car --------------------------------------------------------------------------------------------
+  // -- what kernels say of a car -------------------------------------------------------------------------------------
   function carFlaw(status, ratio, car, loads, given) {
     const { ONE_CAR, INERTIA_ODD, FRONT_ODD } = given.answers.car_flaw, { numbers } = car;
     const [low, high] = status === INERTIA_ODD ? given.flaws.inertias : given.flaws.stiffnesses;
     if (status === ONE_CAR) return null;
     if (status === INERTIA_ODD) {
       return `yaw_inertia = ${numbers.yaw_inertia} kg m^2 and mass = ${numbers.mass} kg do not belong together: ` +
-        `yaw_inertia/(mass lf lr) = ${rounded(ratio)}, where cars have about 1 (${low} to ${high} is allowed). Give the ` +
-        "mass in kg, lengths in m, the inertia in kg m^2.";
+        `yaw_inertia/(mass lf lr) = ${rounded(ratio)}, where cars have about 1 (${low} to ${high} is allowed). Give ` +
+        "the mass in kg, lengths in m, the inertia in kg m^2.";
     }
-    const axle = status === FRONT_ODD ? "front" : "rear", load = loads[status === FRONT_ODD ? 0 : 1];
-    return `stiffness_${axle} = ${numbers[`stiffness_${axle}`]} N/rad is ${rounded(ratio)} times the load of its wheel, ` +
+    const [key, load] = status === FRONT_ODD ? ["stiffness_front", loads[0]] : ["stiffness_rear", loads[1]];
+    return `${key} = ${numbers[key]} N/rad is ${rounded(ratio)} times the load of its wheel, ` +
       `${load.toFixed(0)} N; tyres have 5 to 30 (${low} to ${high} is allowed). Give it in N/rad for one tyre: N/deg ` +
       "times 57.3, kN/rad times 1000.";
   }
@@ -478,23 +523,26 @@ const inputs = (() => {
   function outlineFlaw(status, front, rear, car, given) {
     const { HOLDS, AXLE_OUTSIDE } = given.answers.overhangs;
     if (status === HOLDS) return null;
-    if (status === AXLE_OUTSIDE) return `body.length = ${car.body.length} m does not hold wheelbase and overhangs: give a longer one.`;
+    if (status === AXLE_OUTSIDE) {
+      return `body.length = ${car.body.length} m does not hold wheelbase and overhangs: give a longer one.`;
+    }
     return `body.length = ${car.body.length} m is not overhang, wheelbase and overhang, ${rounded(front)} m and ` +
       `${rounded(rear)} m about the axles: leave one of the three out.`;
   }
 
-  // -- a data sheet -----------------------------------------------------------------------------------------------------------
+  // -- a data sheet --------------------------------------------------------------------------------------------------
   /** A number that was typed in, or what is wrong with it. */
   function typedNumber(value) {
     if (typeof value === "number") return { number: value };
     const text = String(value).trim();
     if (/^[+-]?\d+,\d+$/.test(text)) return { flaw: `write the decimal point: ${text.replace(",", ".")}.` };
-    if (text === "" || !/^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$/.test(text)) return { flaw: "is no number; give one, as 1500 or 2.7." };
-    return { number: Number(text) };
+    const isOne = /^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$/.test(text);
+    return isOne ? { number: Number(text) } : { flaw: "is no number; give one, as 1500 or 2.7." };
   }
 
   function readSheet(typed, given) {
-    const problems = [], sheet = { name: "sheet", mass: null, wheelbase: null, load: 0, truck: 0, known: {} };
+    const problems = [], say = (message, key) => problems.push(problem(message, null, key));
+    const sheet = { name: "sheet", mass: null, wheelbase: null, load: 0, truck: 0, known: {} };
     const fields = given.sections[""].filter((each) => each.kind === "number" && each.key !== "mass");
     for (const [key, value] of Object.entries(typed)) {
       const field = fields.find((each) => each.key === key);
@@ -502,20 +550,20 @@ const inputs = (() => {
       if (key === "name") sheet.name = String(value);
       else if (key === "body_style") sheet.truck = styleOf(value, given, problems);
       else if (key in given.sheet || key === "load" || field) readTyped(key, value, field, sheet, given, problems);
-      else problems.push(problem(`${shown(key)}: unknown. ${didYouMean(key, ["mass", "wheelbase", "load", "body_style"])}`, null, key));
+      else say(`${shown(key)}: unknown. ${didYouMean(key, ["mass", "wheelbase", "load", "body_style"])}`, key);
     }
     for (const key of ["mass", "wheelbase"]) {
-      if (sheet[key] === null && !problems.some((each) => each.key === key)) {
-        problems.push(problem(`${key}: missing; give ${key === "mass" ? "kg" : "m"}, ${given.sheet[key].join(" to ")}.`, null, key));
-      }
+      if (sheet[key] !== null || problems.some((each) => each.key === key)) continue;
+      say(`${key}: missing; give ${key === "mass" ? "kg" : "m"}, ${given.sheet[key].join(" to ")}.`, key);
     }
     if (problems.length) throw new InputError(problems);
     return sheet;
   }
 
   function styleOf(value, given, problems) {
-    const place = given.sheet.body_styles.indexOf(value);
-    if (place < 0) problems.push(problem(`body_style = ${shown(value)}: unknown. ${didYouMean(String(value), given.sheet.body_styles)}`, null, "body_style"));
+    const known = given.sheet.body_styles, place = known.indexOf(value);
+    const message = `body_style = ${shown(value)}: unknown. ${didYouMean(String(value), known)}`;
+    if (place < 0) problems.push(problem(message, null, "body_style"));
     return Math.max(place, 0);
   }
 
@@ -531,41 +579,47 @@ const inputs = (() => {
       if (number >= 0 && number < Infinity) sheet.load = number;
       else say("must be a finite number >= 0 (kg of people and luggage beside the car).");
     } else {
-      const [low, high] = given.sheet[key];
+      const [low, high] = given.sheet[key], range = `${low} to ${high} ${key === "mass" ? "kg" : "m"}`;
       if (number >= low && number <= high) sheet[key] = number;
-      else say(`must be from ${low} to ${high} ${key === "mass" ? "kg" : "m"}: the estimates are of such cars; of another, give a car file.`);
+      else say(`must be from ${range}: the estimates are of such cars; of another, give a car file.`);
     }
   }
 
   function sheetFlaw(status, sheet, given) {
-    const { COMPLETE, MASS_OUTSIDE, WHEELBASE_OUTSIDE, TOO_MUCH_LOAD } = given.answers.complete_car;
-    if (status === COMPLETE) return null;
-    if (status === MASS_OUTSIDE) return `mass = ${sheet.mass} kg: must be from ${given.sheet.mass.join(" to ")}.`;
-    if (status === WHEELBASE_OUTSIDE) return `wheelbase = ${sheet.wheelbase} m: must be from ${given.sheet.wheelbase.join(" to ")}.`;
-    if (status === TOO_MUCH_LOAD) return `load = ${sheet.load} kg: must not be more than the car itself, ${sheet.mass} kg.`;
-    return `lf and lr do not make the wheelbase of ${sheet.wheelbase} m: give one of them, or neither.`;
+    const answers = given.answers.complete_car, { mass, wheelbase, load } = sheet;
+    const sentences = {
+      COMPLETE: null,
+      MASS_OUTSIDE: `mass = ${mass} kg: must be from ${given.sheet.mass.join(" to ")}.`,
+      WHEELBASE_OUTSIDE: `wheelbase = ${wheelbase} m: must be from ${given.sheet.wheelbase.join(" to ")}.`,
+      TOO_MUCH_LOAD: `load = ${load} kg: must not be more than the car itself, ${mass} kg.`,
+      AXLES_DISAGREE: `lf and lr do not make the wheelbase of ${wheelbase} m: give one of them, or neither.`,
+    };
+    return sentences[nameOf(answers, status)];
   }
 
   function carOfSheet(sheet, car, within, given) {
-    const numbers = {}, empty = {};
+    const numbers = {}, parts = {};
     for (const field of given.sections[""]) {
       if (field.kind !== "number") continue;
       numbers[field.key] = car[field.key] ?? sheet.known[field.key] ?? field.default;
     }
-    for (const part of PARTS) empty[part] = Object.fromEntries(given.sections[part].map((each) => [each.key, each.default]));
-    const spreads = Object.fromEntries(given.sections.known_within.map(({ key }) => [key, Number.isFinite(within[key]) ? within[key] : null]));
+    for (const part of PARTS) parts[part] = byKey(given.sections[part], (each) => each.default);
+    const finite = (x) => (Number.isFinite(x) ? x : null);
+    parts.known_within = byKey(given.sections.known_within, ({ key }) => finite(within[key]));
     const tyre = given.sections[""].find((each) => each.key === "tyre").default;
     const description = `estimated from ${sheet.mass} kg and ${sheet.wheelbase} m of wheelbase`;
-    return { ...empty, name: sheet.name, description, estimated: [], numbers, known_within: spreads, tyre: { name: tyre, numbers: given.tyres[tyre] } };
+    const own = { name: tyre, numbers: given.tyres[tyre] };
+    return { name: sheet.name, description, estimated: [], numbers, ...parts, tyre: own };
   }
 
-  // -- points of a road --------------------------------------------------------------------------------------------------------
+  // -- points of a road ----------------------------------------------------------------------------------------------
   function readPoints(text, given, { closed = null, name = "points" } = {}) {
     const rules = given.points, rows = rowsOf(text, rules), columns = columnsOf(rows, rules);
     const points = new Float64Array(2 * rows.cells.length), lines = [];
     let count = 0, repeated = 0;
     rows.cells.forEach((cells, k) => {
-      const line = rows.lines[k], x = coordinate(cells, columns, "x", rows, line), y = coordinate(cells, columns, "y", rows, line);
+      const line = rows.lines[k];
+      const [x, y] = ["x", "y"].map((name) => coordinate(cells, columns, name, rows.comma, line));
       if (count > 0 && x === points[2 * count - 2] && y === points[2 * count - 1]) repeated++;
       else {
         points[2 * count] = x;
@@ -575,9 +629,9 @@ const inputs = (() => {
     });
     const comesBack = count > 1 && points[0] === points[2 * count - 2] && points[1] === points[2 * count - 1];
     if (comesBack) lines.length = --count;
-    if (count < rules.fewest) refuse(`${count} points; a road needs at least ${rules.fewest}, one a line, x and y in metres.`);
-    const found = { name, points: points.slice(0, 2 * count), count, lines, closed: closed ?? comesBack, notes: columns.notes };
-    if (repeated) found.notes.push(`${repeated} repeated points are left out.`);
+    if (count < rules.fewest) refuse(`${count} points; a road needs at least ${rules.fewest}, x and y in metres.`);
+    const notes = repeated ? [...columns.notes, `${repeated} repeated points are left out.`] : columns.notes;
+    const found = { name, points: points.slice(0, 2 * count), count, lines, closed: closed ?? comesBack, notes };
     return lookAlikes(found, columns);
   }
 
@@ -604,19 +658,21 @@ const inputs = (() => {
         separator = null;
         continue;
       }
-      if (cells.length >= rules.most) refuse(`more than ${rules.most} points: leave some out, every second for instance.`, line);
+      if (cells.length >= rules.most) refuse(`more than ${rules.most} points: leave out every second, or more.`, line);
       cells.push(found);
       lines.push(line);
     }
     if (!cells.length) refuse("no line of numbers: a road is a table of x and y in metres, a point a line.");
-    return { header, headerLine, cells, lines, comma: separator === ";" && cells[0].some((each) => /^[+-]?\d+,\d+/.test(each)) };
+    const comma = separator === ";" && cells[0].some((each) => /^[+-]?\d+,\d+/.test(each));
+    return { header, headerLine, cells, lines, comma };
   }
 
   function separatorOf(content) {
     return [";", "\t", ","].find((sign) => content.includes(sign)) ?? /\s+/;
   }
 
-  const isNumber = (cell) => /^[+-]?(\d+([.,]\d*)?|\.\d+)([eE][+-]?\d+)?$/.test(cell) || /^[+-]?(nan|inf(inity)?)$/i.test(cell);
+  const NO_NUMBER = /^[+-]?(nan|inf(inity)?)$/i, DECIMAL = /^[+-]?(\d+([.,]\d*)?|\.\d+)([eE][+-]?\d+)?$/;
+  const isNumber = (cell) => DECIMAL.test(cell) || NO_NUMBER.test(cell);
   const plainTitle = (title) => title.replace(/\s*[[(].*/, "").trim().toLowerCase();
 
   function titleOf(title, rules) {
@@ -627,30 +683,43 @@ const inputs = (() => {
   function columnsOf({ header, headerLine, cells }, rules) {
     if (!header) {
       if (cells[0].length < 2) refuse("one column; x and y are needed, separated by a comma, a semicolon or a tab.");
-      return { x: 0, y: 1, count: cells[0].length, said: false, notes: cells[0].length > 2 ? ["Without a header, the first two columns are x and y."] : [] };
+      const notes = cells[0].length > 2 ? ["Without a header, the first two columns are x and y."] : [];
+      return { x: 0, y: 1, count: cells[0].length, said: false, notes };
     }
     const degrees = header.find((title) => rules.degrees.includes(plainTitle(title)));
-    if (degrees) refuse(`column ${shown(degrees)}: latitude and longitude; convert them to x (east) and y (north) in metres first.`, headerLine);
-    const found = { count: header.length, said: false, notes: [] };
-    for (const name of ["x", "y"]) {
-      const places = header.map((title, k) => (titleOf(title, rules) === name ? k : -1)).filter((k) => k >= 0);
-      if (places.length !== 1) refuse(`one column must be "${name}" or "${name}_m": ${places.length ? "there are two." : didYouMean(name, header)}`, headerLine);
-      found[name] = places[0];
-      const unit = /[[(]\s*([^\])]*?)\s*[\])]/.exec(header[places[0]])?.[1] ?? "";
-      if (unit !== "" && unit !== "m") refuse(`column ${shown(header[places[0]])}: metres are needed, not ${shown(unit)}; convert them${unit === "km" ? " (times 1000)" : ""}.`, headerLine);
-      found.said ||= unit === "m" || /_m$/.test(plainTitle(header[places[0]]));
+    if (degrees) {
+      const remedy = "convert them to x (east) and y (north) in metres first";
+      refuse(`column ${shown(degrees)}: latitude and longitude; ${remedy}.`, headerLine);
     }
-    const left = header.filter((title, k) => k !== found.x && k !== found.y);
-    if (left.length) found.notes.push(`Columns left out: ${left.join(", ").slice(0, 200)}.`);
-    return found;
+    const x = columnOf("x", header, headerLine, rules), y = columnOf("y", header, headerLine, rules);
+    const left = header.filter((title, k) => k !== x && k !== y).join(", ");
+    const said = [x, y].some((k) => unitOf(header[k]) === "m");
+    return { x, y, count: header.length, said, notes: left ? [`Columns left out: ${left.slice(0, 200)}.`] : [] };
   }
 
-  function coordinate(cells, columns, name, rows, line) {
+  function columnOf(name, header, line, rules) {
+    const places = [...header.keys()].filter((k) => titleOf(header[k], rules) === name);
+    if (places.length !== 1) {
+      const hint = places.length ? "there are two." : didYouMean(name, header);
+      refuse(`one column must be "${name}" or "${name}_m": ${hint}`, line);
+    }
+    const title = header[places[0]], unit = unitOf(title), times = unit === "km" ? " (times 1000)" : "";
+    if (unit !== "" && unit !== "m") {
+      refuse(`column ${shown(title)}: metres are needed, not ${shown(unit)}; convert them${times}.`, line);
+    }
+    return places[0];
+  }
+
+  function unitOf(title) {
+    return /[[(]\s*([^\])]*?)\s*[\])]/.exec(title)?.[1] ?? (/_m$/.test(plainTitle(title)) ? "m" : "");
+  }
+
+  function coordinate(cells, columns, name, comma, line) {
     if (cells.length !== columns.count) refuse(`${cells.length} columns, where ${columns.count} are expected.`, line);
-    const cell = cells[columns[name]], text = rows.comma ? cell.replace(",", ".") : cell;
+    const cell = cells[columns[name]], text = comma ? cell.replace(",", ".") : cell;
     const value = isNumber(text) && !text.includes(",") ? Number(text) : NaN;
-    if (!Number.isFinite(value)) refuse(`${name} = ${shown(cell)} is not a finite number; correct or remove the line.`, line);
-    return value;
+    if (Number.isFinite(value)) return value;
+    return refuse(`${name} = ${shown(cell)} is not a finite number; correct or remove the line.`, line);
   }
 
   /** Refuses degrees; says it where metres may be kilometres. */
@@ -662,13 +731,14 @@ const inputs = (() => {
       ends[at + 1] = Math.max(ends[at + 1], road.points[k]);
     }
     const wide = ends[1] - ends[0], high = ends[3] - ends[2], size = Math.max(wide, high);
-    const far = Math.max(...ends.map(Math.abs)) > 20 * size, globe = Math.abs(ends[0]) <= 180 && Math.abs(ends[2]) <= 180;
+    const far = Math.max(...ends.map(Math.abs)) > 20 * size;
+    const globe = Math.abs(ends[0]) <= 180 && Math.abs(ends[2]) <= 180;
+    const spans = `${rounded(wide)} m by ${rounded(high)} m`;
     if (!columns.said && size < 2 && far && globe) {
-      refuse(`x and y span ${rounded(wide)} and ${rounded(high)}, far from 0: they look like degrees of longitude and latitude; convert them to metres first.`);
+      refuse(`x and y span ${spans}, far from 0, as degrees of longitude and latitude do: convert them to metres.`);
     }
-    if (!columns.said && size < 20) {
-      road.notes.push(`The road spans ${rounded(wide)} m by ${rounded(high)} m: if x and y are in km, multiply them by 1000.`);
-    }
+    const note = `The road spans ${spans}: if x and y are in km, multiply them by 1000.`;
+    if (!columns.said && size < 20) road.notes.push(note);
     return road;
   }
 
@@ -678,28 +748,35 @@ const inputs = (() => {
     const sentences = {
       TOO_FEW: `${road.count} points: a road needs at least ${rules.fewest}.`,
       NOT_FINITE: `${at}: x or y is not a finite number; correct or remove the point.`,
-      TOO_FAR: `${at}: lies more than ${rules.widest} m from the next point, or ${rules.farthest} m from the origin; correct it, or leave it out.`,
+      TOO_FAR:
+        `${at}: lies more than ${rules.widest} m from the next point, or ${rules.farthest} m from the origin; ` +
+        "correct it, or leave it out.",
       TWICE: `${at}: the point comes twice; leave one out.`,
       TOO_SHORT: "The points are too near one another: are x and y in metres?",
-      KINK: `${at}: the points fold back on themselves behind it, no smooth road goes through them; leave out or move the points there.`,
+      KINK:
+        `${at}: the points fold back on themselves behind it, no smooth road goes through them; ` +
+        "leave out or move the points there.",
       TOO_SMALL: `${at}: the road bends too much between two points; give more points there.`,
     };
-    const name = Object.keys(answers).find((each) => answers[each] === status);
+    const name = nameOf(answers, status);
     return name === "OK" ? null : sentences[name] ?? `The points make no road (${status}); correct them.`;
   }
 
-  // -- a drive as a table ----------------------------------------------------------------------------------------------------------
+  // -- a drive as a table --------------------------------------------------------------------------------------------
   function writeDrive(history, car, given) {
-    const { columns, count } = history.cars[car], names = Object.keys(given.drive).filter((name) => columns[given.drive[name]]);
+    const { columns, count } = history.cars[car];
+    const names = Object.keys(given.drive).filter((name) => columns[given.drive[name]]);
     const kept = names.map((name) => columns[given.drive[name]]), rows = [names.join(",")];
-    for (let k = 0; k < count; k++) rows.push(kept.map((values) => (Number.isFinite(values[k]) ? String(values[k]) : "")).join(","));
+    const cell = (x) => (Number.isFinite(x) ? String(x) : "");
+    for (let k = 0; k < count; k++) rows.push(kept.map((values) => cell(values[k])).join(","));
     return `${rows.join("\n")}\n`;
   }
 
-  // -- sizes -----------------------------------------------------------------------------------------------------------------------------
+  // -- sizes ---------------------------------------------------------------------------------------------------------
   function tooLarge(bytes, what, given) {
     const most = given.largest[what];
-    return bytes <= most ? null : `The file has ${(bytes / 1e6).toFixed(1)} MB; a ${what} has at most ${most / 1e6} MB: give a smaller one.`;
+    if (bytes <= most) return null;
+    return `The file has ${(bytes / 1e6).toFixed(1)} MB; a ${what} has at most ${most / 1e6} MB: give a smaller one.`;
   }
 
   async function textOf(file, what, given) {
@@ -709,7 +786,7 @@ const inputs = (() => {
   }
 
   return {
-    InputError, readCarFile, readSheet, carOfSheet, readPoints, writeDrive, tooLarge, textOf, carFlaw, outlineFlaw,
+    InputError, readCarFile, checkedCar, readSheet, carOfSheet, readPoints, writeDrive, tooLarge, textOf, carFlaw, outlineFlaw,
     sheetFlaw, roadFlaw,
   };
 })();

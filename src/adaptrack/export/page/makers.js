@@ -6,13 +6,22 @@
 //   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
 //
-// What they lay into memory is given back by `forget(owned)`, where `owned` is the list that `owning(list)` has set.
+// What they lay into memory is given back by `forget(list)`, where `owning(list, make)` has called them.
 "use strict";
 
 let owned = [];
-/** Whatever is made from now on belongs to this list. */
-function owning(list) {
+/** Whatever a function makes belongs to a list; where it fails, nothing stays. */
+function owning(list, make) {
+  const before = owned;
   owned = list;
+  try {
+    return make();
+  } catch (error) {
+    forget(list);
+    throw error;
+  } finally {
+    owned = before;
+  }
 }
 function mine(made) {
   owned.push(made);
@@ -52,7 +61,7 @@ const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Arra
 /** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
 function carOf(given) {
   if (given?.sheet) return carOfSheet(given.sheet);
-  if (given?.file) return carOfFile(given.file);
+  if (given?.file) return carOfFile(readBy("car", () => inputs.checkedCar(given.file, written.inputs)));
   const known = written.cars[given?.name];
   if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
   return carOfFile(known);
@@ -279,7 +288,7 @@ function samplesOf(setup, of, car, world) {
   const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
   const laps = of.closed ? Math.max(1, Math.floor(AN_HOUR / plan.duration)) : 1;
   const periods = memory.call("drive_periods", plan.duration, laps, period);
-  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods: 1 to ${MOST_SAMPLES} are possible.`);
+  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods; 1 to ${MOST_SAMPLES} are possible: drive faster, or take another road.`);
   const route = { ...plan.route, friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)) };
   const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
   const drive = mine(memory.make("planning.drive.RoadDrive", {
@@ -315,7 +324,7 @@ function controllerOf(entry, car, world, where) {
   const known = written.controllers[entry?.kind]?.[world.name];
   if (!known) throw new Refusal(where, `There is no controller of the kind “${entry?.kind}”: choose one of ${Object.keys(written.controllers).join(", ")}.`);
   if (known.refused) throw new Refusal(where, known.refused);
-  return known.common ? lawOf(entry, known, car, where) : mpcOf(entry, known, car, where);
+  return known.common ? lawOf(entry, known, car, where) : mpcOf(entry, known, car, world, where);
 }
 
 function checkedTuning(tuning, where) {
@@ -337,9 +346,9 @@ function checkedBelief(belief, where) {
   return belief;
 }
 
-function mpcOf(entry, known, car, where) {
+function mpcOf(entry, known, car, world, where) {
   const believed = checkedBelief(entry.belief, where), wanted = entry.tuning ? checkedTuning(entry.tuning, where) : null;
-  const made = known.order ? informedConstants(known, car, believed, where) : publishedConstants(known, car, where);
+  const made = known.order ? informedConstants(known, car, believed, where) : publishedConstants(known, car, world.period, where);
   const { constants } = made, settings = constants.settings.row(0);
   const tuning = wanted ?? [...constants.tuning.values.slice(0, 4)];
   settings.longest_horizon = Math.max(settings.longest_horizon, tuning[0]);
@@ -367,10 +376,10 @@ function informedConstants(known, car, believed, where) {
   return { constants, states, remembers, learned, order, parts };
 }
 
-function publishedConstants(known, car, where) {
+function publishedConstants(known, car, period, where) {
   const constants = constantsOf(written.sizes.published_states, 0, true);
   filled(constants.settings.row(0), known.settings);
-  const status = memory.call("published_constants", car.rows.car, known.settings.period ?? known.period, constants);
+  const status = memory.call("published_constants", car.rows.car, period, constants);
   if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
   return { constants, states: written.sizes.published_states, remembers: 0, learned: 0 };
 }
