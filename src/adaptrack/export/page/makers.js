@@ -61,7 +61,7 @@ const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Arra
 /** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
 function carOf(given) {
   if (given?.sheet) return carOfSheet(given.sheet);
-  if (given?.file) return carOfFile(given.file);
+  if (given?.file) return carOfFile(readBy("car", () => inputs.checkedCar(given.file, written.inputs)));
   const known = written.cars[given?.name];
   if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
   return carOfFile(known);
