@@ -113,6 +113,22 @@ def test_all_of_toml_that_a_car_needs_is_read():
     assert read_car(SIX, name="my-car")["value"]["name"] == "my-car"
 
 
+@needs_node
+def test_a_car_from_a_link_is_the_same_or_refused_in_words():
+    texts = [(SHIPPED / "vehicles" / f"{name}.toml").read_text() for name in list_vehicles()]
+    read = [each["value"] for each in asked([("readCarFile", [text], [{}]) for text in texts])]
+    assert [each["value"] for each in asked([("checkedCar", [car], []) for car in read])] == read
+    car = read[0]
+    wrong = [
+        None, 3, "car", [], {}, {**car, "numbers": None}, {**car, "numbers": {**car["numbers"], "mass": "heavy"}},
+        {**car, "numbers": {**car["numbers"], "mass": -1}}, {**car, "steering": 3}, {**car, "domain": {"speed": [9]}},
+        {**car, "tyre": {"name": "own", "numbers": {**car["tyre"]["numbers"], "linear": 7}}}, {**car, "tyre": 5},
+        {**car, "tyre": {"numbers": []}}, {**car, "__proto__": {}, "unknown": 1},
+    ]  # fmt: skip
+    for answer in asked([("checkedCar", [each], []) for each in wrong]):
+        is_refused_in_words(answer)
+
+
 BROKEN = {
     "": "mass: missing; give a finite number > 0",
     SIX.replace("yaw_inertia", "yaw_inertai"): 'line 2: "yaw_inertai": unknown key. Did you mean "yaw_inertia"?',
@@ -381,7 +397,7 @@ NO_ROADS = [
     ("1\n2\n3\n4\n", "one column; x and y are needed"), ("a,b\n" + SQUARE, 'line 1: one column must be "x" or "x_m"'),
     ("x,x_m,y\n1,1,1\n", "line 1: one column must be"), ("lat,lon\n48.1,11.5\n", "line 1: column \"lat\": latitude"),
     ("x [km],y [km]\n" + SQUARE, 'column "x [km]": metres are needed, not "km"; convert them (times 1000)'),
-    ("".join(f"{11.5 + k * 1e-4!r},{48.1 + k * 1e-5!r}\n" for k in range(9)), "as degrees of longitude and latitude do"),
+    ("".join(f"{11.5 + k * 1e-4!r},{48.1 + k * 1e-5!r}\n" for k in range(9)), "degrees of longitude and latitude"),
     ("x" * 20_000, "line 1: a line of more than 10,000 characters"),
     ("".join(f"{k},0\n" for k in range(20_002)), "line 20001: more than 20000 points"),
     ("0,0\n" * 50, "1 points; a road needs"),

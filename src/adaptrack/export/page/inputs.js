@@ -3,6 +3,7 @@
 //   inputs.readCarFile(text, given, {name, others})  a car: {name, description, numbers, estimated, steering, body,
 //       known_within (null: no such section), domain, tyre: {name, numbers}}; what is not known is null. others: texts
 //       of other files that were dropped with it, by name, among which its tyre may be.
+//   inputs.checkedCar(car, given)        the same of such a car that comes from elsewhere, such as a link
 //   inputs.readSheet(typed, given)       {name, mass, wheelbase, load, truck, known}, for the kernel complete_car
 //   inputs.carOfSheet(sheet, car, within, given)     the car, of the rows that complete_car has written, by name
 //   inputs.readPoints(text, given, {closed, name})   {name, points: Float64Array x, y, x, y, ..., count, lines, closed,
@@ -381,8 +382,11 @@ const inputs = (() => {
   const PARTS = ["steering", "body", "known_within", "domain"];
 
   function readCarFile(text, given, { name = "car", others = {} } = {}) {
-    const table = readToml(text), problems = [];
-    const car = readSection("", withoutSection(table, "tyre"), given, problems, PARTS);
+    return carOfTable(readToml(text), given, name, others);
+  }
+
+  function carOfTable(table, given, name, others) {
+    const problems = [], car = readSection("", withoutSection(table, "tyre"), given, problems, PARTS);
     const made = { name: car.name ?? name, description: car.description, estimated: car.estimated, numbers: {} };
     for (const field of given.sections[""]) if (field.kind === "number") made.numbers[field.key] = car[field.key];
     for (const part of PARTS) made[part] = readPart(part, table.get(part), given, problems);
@@ -390,6 +394,42 @@ const inputs = (() => {
     made.tyre = readTyre(table.get("tyre"), given, others, problems);
     if (problems.length) throw new InputError(problems.sort((a, b) => (a.line ?? Infinity) - (b.line ?? Infinity)));
     return made;
+  }
+
+  function checkedCar(car, given) {
+    const table = tableOf({ ...car, ...car?.numbers }), tyre = table.get("tyre")?.value;
+    for (const key of ["numbers", "name"]) table.delete(key);
+    if (tyre instanceof Map) table.set("tyre", { ...table.get("tyre"), value: keysOfTyre(tyre, given) });
+    return carOfTable(table, given, typeof car?.name === "string" ? car.name : "car", {});
+  }
+
+  /** Plain data as `readToml` gives it; what is null is left out. */
+  function tableOf(data, depth = 0) {
+    const found = new Map();
+    for (const [key, value] of Object.entries(data ?? {})) {
+      if (value === null || value === undefined) continue;
+      found.set(key, nodeOf(value, depth));
+    }
+    return found;
+  }
+
+  function nodeOf(value, depth) {
+    if (depth > DEEPEST) refuse(`more than ${DEEPEST} tables in one another.`);
+    if (Array.isArray(value)) return { value: value.map((each) => nodeOf(each, depth + 1)), line: null, text: "[...]" };
+    if (typeof value === "object" && value) return { value: tableOf(value, depth + 1), line: null, text: "a section" };
+    return { value, line: null, text: shown(value) };
+  }
+
+  /** A tyre's row by the keys of its file. */
+  function keysOfTyre(tyre, given) {
+    const rows = tyre.get("numbers")?.value, found = new Map([...tyre].filter(([key]) => key === "name"));
+    if (!(rows instanceof Map)) return found;
+    for (const field of given.sections.tyre) {
+      const node = rows.get(field.row);
+      if (node && field.kind === "number") found.set(field.key, node);
+      if (node && field.kind === "choice") found.set(field.key, { ...node, value: field.words[node.value] ?? node.value });
+    }
+    return found;
   }
 
   function withoutSection(table, key) {
@@ -746,7 +786,7 @@ const inputs = (() => {
   }
 
   return {
-    InputError, readCarFile, readSheet, carOfSheet, readPoints, writeDrive, tooLarge, textOf, carFlaw, outlineFlaw,
+    InputError, readCarFile, checkedCar, readSheet, carOfSheet, readPoints, writeDrive, tooLarge, textOf, carFlaw, outlineFlaw,
     sheetFlaw, roadFlaw,
   };
 })();
