@@ -6,15 +6,12 @@ are, and the SHA-256 of these columns one behind the other, as little-endian flo
 
 import functools
 import hashlib
-import json
-import shutil
-import subprocess
 
 import numpy as np
 
 import adaptrack as at
-from adaptrack.core import library
-from adaptrack.export.page_setup import page_road, simulate_setup
+from adaptrack.export.page_data import page_car
+from adaptrack.export.page_setup import simulate_setup
 
 COLUMNS = {
     "x": "X", "y": "Y", "yaw": "psi", "vx": "vx", "vy": "vy", "yaw_rate": "yaw_rate", "wheel_angle": "steering",
@@ -23,11 +20,9 @@ COLUMNS = {
 }  # fmt: skip
 """Columns of frames, and what a `Trajectory` calls them."""
 SHEET = {"mass": 1480.0, "wheelbase": 2.68}
-VAN = {
-    "name": "mine", "description": "", "estimated": [], "tyre": {"name": "van"},
-    "numbers": {key: value for key, value in at.load_vehicle("van").model_dump().items() if isinstance(value, float)},
-    "steering": {"lag": 0.2, "dead_time": 0.08, "rate": 0.6, "limit": 0.55, "ratio": None},
-}  # fmt: skip
+VAN = page_car(
+    at.load_vehicle("van").replace(name="mine", steering=at.Steering(lag=0.2, dead_time=0.08, rate=0.6, limit=0.55))
+)
 """A car file as the page has read it."""
 
 

@@ -9,9 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import adaptrack as at
 import page_drives
 from adaptrack.base.errors import AdaptrackError
-from adaptrack.core import library
+from adaptrack.cars.vehicle import pack_plant
+from adaptrack.core import library, rollout
+from adaptrack.core.kernel import Resident
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.period import Span
+from adaptrack.core.plants.contract import SLOTS, STATE
+from adaptrack.core.synthesis.plant import dead_periods
+from adaptrack.drive.batch import Batch
+from adaptrack.export import page_setup
+from adaptrack.scenario.profile import load_profile
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
 DRIVER = Path(__file__).parent / "processors" / "page.mjs"
@@ -107,3 +117,169 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     assert len(found) == len(expected)
     assert [differing(here, there) for here, there in zip(found, expected, strict=True)] == [{}] * len(found)
     assert [len(here["x"]) for here in found] == [len(there["x"]) for there in expected]
+
+
+# -- what is touched while it drives ----------------------------------------------------------------------------------
+TOUCHED = page_drives._setup(page_drives.SEDAN, {"name": "mountain"}, {"lateral": 2.5}, "road", "informed", seed=5)
+
+
+def changed(what, car=None):
+    return {"type": "change", "id": 1, "car": car, "what": what}
+
+
+def advanced(periods):
+    return {"type": "advance", "id": 1, "periods": periods}
+
+
+def by_python(before, touch, after):
+    """States of `TOUCHED` driven by the package's kernels, with a touch of its run between two stretches."""
+    car, profile = page_setup.car_of(TOUCHED["car"]), load_profile("road")
+    driven, made = page_setup.drive_of(TOUCHED, car), page_setup.controller_of(TOUCHED["controllers"][0], car, profile)
+    batch = Batch(at.DualTrack(car), made, [driven], profile)
+    settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
+    run = batch.arena(1, int(batch.substeps[0]), settings)
+    run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
+    run = run._replace(memory=run.memory._replace(sent=np.zeros((1, 40))))  # room for a longer dead time
+    span, states = Span(int(batch.periods[0]), 1, 0, 0.0), []
+    rollout.begin(1, Resident(run))
+    for count in (before, after):
+        for _ in range(count):
+            states.append([run.vehicles.block[j * SLOTS] for j in range(6)])
+            rollout.roll_on(1, span, Resident(run))
+        if touch is not None:
+            run, touch = touch(run, batch), None
+    return np.array(states)
+
+
+def slower(run, batch):
+    actuator = batch.world.steering.replace(lag=0.3, dead_time=0.11, bias=0.01)
+    run.vehicles.parameters[:] = pack_plant(batch.world.plant.vehicle, batch.world.plant.tyre, actuator)
+    whole, share = dead_periods(batch.world.profile.delay, actuator.dead_time, batch.world.period)
+    return run._replace(settings=run.settings._replace(
+        dead_whole=whole, dead_share=share, steering_lag=0.3, steering_bias=0.01,
+        **{name: 3.0 * getattr(run.settings, name) for name in ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y")}))  # fmt: skip
+
+
+def tuned_and_pushed(run, batch):
+    run.tuning[:] = [20, 5, 1.0, 50.0]
+    run.vehicles.block[STATE.vy * SLOTS] += 0.5
+    run.vehicles.block[STATE.yaw_rate * SLOTS] -= 0.1
+    return run
+
+
+def blind(run, batch):
+    return run._replace(settings=run.settings._replace(noise_vy=np.inf, noise_y=np.inf))
+
+
+def believing(run, batch):
+    car = page_setup.car_of(TOUCHED["car"])
+    other = at.MPC(car, profile="road", belief=at.Steering(lag=0.3, dead_time=0.1))
+    mpc = other.batch(1, other.settings(), curved=True)
+    mpc.measured[:] = run.measured
+    old = run.mpc.memory[0]
+    mpc.memory["command"], mpc.memory["reference"] = old.command, old.reference
+    mpc.memory["planned"], mpc.memory["age"] = old.planned, old.age
+    mpc.plan[0, : run.mpc.plan.shape[1]] = run.mpc.plan[0]
+    return run._replace(mpc=mpc, measured=mpc.measured)
+
+
+def icy(run, batch):
+    signals, station = run.given.signals[0], run.given.signals[0, SIGNAL.station]
+    for row in (*range(SIGNAL.friction_front_left, SIGNAL.friction_rear_right + 1), SIGNAL.known_friction):
+        signals[row, (station >= 400.0) & (station <= 500.0)] = 0.4
+    return run
+
+
+TOUCHES = {
+    "truth": (slower, {"truth": {"lag": 0.3, "dead_time": 0.11, "bias": 0.01, "noise": 3.0}}),
+    "tuning and push": (
+        tuned_and_pushed,
+        {"tuning": {"Np": 20, "Nc": 5, "Q": 1.0, "R": 50.0}, "push": {"vy": 0.5, "yaw_rate": -0.1}},
+    ),
+    "sensors": (blind, {"sensors": {"vy": False, "y": False}}),
+    "belief": (believing, {"belief": {"lag": 0.3, "dead_time": 0.1}}),
+    "ice": (icy, {"ice": {"from": 400.0, "to": 500.0, "friction": 0.4}}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOUCHES)
+def test_what_is_touched_is_what_the_package_does_with_the_same(name, ask):
+    touch, what = TOUCHES[name]
+    expected = by_python(300, touch, 700)
+    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advanced(300), changed(what), advanced(700))
+    assert refused(answers) == []
+    (found,) = frames(answers)
+    states = np.stack([found[column] for column in ("x", "y", "yaw", "vx", "vy", "yaw_rate")], axis=-1)
+    assert (states.view(np.int64) != expected[: len(states)].view(np.int64)).sum() == 0
+    assert len(states) > 400
+
+
+def test_a_wheel_that_is_pulled_is_let_go_again(ask):
+    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advanced(100),
+                  changed({"pull": {"angle": 0.05, "duration": 0.5}}), advanced(200))  # fmt: skip
+    (calm,), (found,) = frames(ask(*drive(TOUCHED, 300))), frames(answers)
+    apart = np.abs(found["wheel_angle"] - calm["wheel_angle"][:300])
+    assert apart[:100].max() == 0.0
+    assert apart[100:115].max() > 0.02
+    assert apart[-1] < 0.01
+
+
+# -- bounds -----------------------------------------------------------------------------------------------------------
+def _wrong(**changes):
+    return {"type": "start", "id": 1, "setup": {**TOUCHED, **changes}}
+
+
+KINKED, BROKEN = [[0, 0], [10, 0], [0, 0.001], [10, 0.1], [0, 5]], [[0, 0], [10, 0], [None, 3], [20, 1]]
+HOSTILE = {
+    "car": [{"name": "none"}, *({"sheet": {"mass": each, "wheelbase": 2.7}} for each in ("NaN", 10, 1e9, None)), None],
+    "road": [{"name": "none"}, {"test": "none"}, {}, *({"points": each} for each in ([[0, 0]], KINKED, BROKEN, [[0, 0]] * 9))],
+    "speed": [{"constant": 0}, {"constant": None}, {"lateral": 1e9}, {}, {"lateral": "fast"}, None],
+    "profile": ["none", None],
+    "truth": [{"lag": -1}, {"noise": 1e9}, {"dead_time": "x"}],
+    "controllers": [
+        [], [{"kind": "none"}], [{"kind": "informed", "tuning": {"Np": 10, "Nc": 20, "Q": 1, "R": 1}}],
+        [{"kind": "informed", "belief": {"lag": 7}}], [{"kind": "informed"}] * 3, None,
+    ],
+}  # fmt: skip
+
+
+def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
+    wrong = [_wrong(**{name: each}) for name, values in HOSTILE.items() for each in values]
+    reading = {"type": "read", "what": "csv", "text": "x"}
+    others = [changed({"truth": {"lag": 1}}), advanced(5), {"type": "none"}, reading]
+    touches = [{"tuning": {"Np": 0}}, {"ice": {"from": 5, "to": 1, "friction": 0.3}}, {"none": 1}]
+    good = [{"type": "start", "id": 2, "setup": TOUCHED}, advanced(20)]
+    answers = ask(*wrong, *others, *good, *map(changed, touches), advanced(10))
+    words = refused(answers)
+    assert len(words) == len(wrong) + len(others) + len(touches)
+    assert [text for _, text in words if "engine failed" in text or text[-1] not in ".?"] == []
+    assert answers[-1]["count"] == 10
+
+
+def test_all_sliders_at_their_ends_neither_hang_nor_fail(ask):
+    names = ("lag", "dead_time", "bias", "noise", "friction", "wind")
+    least, most, mixed = (0, 0, -0.1, 0, 0.05, -40), (1, 1, 0.1, 20, 1.5, 40), (0, 1, 0, 1, 1, 0)
+    ends = [{"truth": dict(zip(names, each, strict=True))} for each in (least, most, mixed)]
+    weights = (60, 20, 0, 1e-12), (1, 1, 1e9, 1e9)
+    tunings = [{"tuning": dict(zip(("Np", "Nc", "Q", "R"), each, strict=True))} for each in weights]
+    beliefs = [{"belief": {"lag": 0, "dead_time": 0}}, {"belief": {"lag": 1, "dead_time": 1}}]
+    messages = [
+        {"type": "start", "id": 1, "setup": {**TOUCHED, "controllers": [{"kind": "informed"}, {"kind": "learning"}]}}
+    ]
+    for what in [*ends, *tunings, *beliefs]:
+        messages += [changed(what), advanced(40)]
+    answers = ask(*messages)
+    assert refused(answers) == []
+    assert sum(each["type"] == "frames" for each in answers) == len([*ends, *tunings, *beliefs])
+
+
+def test_setting_up_again_and_again_takes_no_more_memory(ask):
+    again = [message for _ in range(30) for message in (
+        {"type": "start", "id": 1, "setup": page_drives.SETUPS["late samples"]}, advanced(50),
+        changed({"belief": {"lag": 0.2, "dead_time": 0.1}}), advanced(5))]  # fmt: skip
+    used = [
+        each["bytes"]
+        for each in ask(*again, {"type": "memory"}, *again[:4], {"type": "memory"})
+        if each["type"] == "memory"
+    ]
+    assert used[0] == used[1] < 20e6

@@ -12,28 +12,28 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
-from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import size_of
-from adaptrack.core.loop import SENSED, SIGNAL
+from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models import single_track
 from adaptrack.core.models import path as path_model
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.period import Span
-from adaptrack.core.plants.contract import BLOCK, INPUT, SLOTS, STATE, STATES
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
 from adaptrack.core.planning import along, drive, speed
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
-from adaptrack.core.variables import NAMES
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, tyre_numbers
 from adaptrack.export.page_layout import calls, image, layouts, packed
@@ -45,22 +45,11 @@ from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.Run, rollout.Counts, Span, road.Centreline, Order, Parts, Constants, car.Car, car.KnownWithin, car.Steering, laws.Common,
-    plant.Chassis, plant.Tyre, plant.Actuator, plant.Body, plant.Outline, along.Along, speed.Planning, drive.RoadDrive,
+    rollout.Run, rollout.Counts, Span, road.Centreline, along.Along, speed.Planning, drive.RoadDrive, Order, Parts,
+    Constants, laws.Common, car.Car, car.KnownWithin, car.Steering, plant.Chassis, plant.Tyre, plant.Actuator,
+    plant.Body, plant.Outline,
 )  # fmt: skip
-CALLED = (
-    "begin_runs", "drive_and_show", "path_words", "path_through", "path_parts", "heading_count", "headings_along",
-    "complete_car", "car_flaw", "outline_of", "overhangs", "static_loads", "plant_parameters", "plant_substeps", "plant_law", "dead_periods",
-    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
-    "steering_delay", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant", "drive_periods",
-    "drive_samples", "drive_start", "complete_samples", "run_sizes", "mpc_prepare", *(f"{name}_parameters" for name in ("pure_pursuit", "stanley", "lqr")),
-)  # fmt: skip
-"""What the engine calls; what it links besides are members."""
-MEMBERS = (
-    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
-    *(f"dual_track_{tyre}_{what}" for tyre in ("linear", "magic", "curved") for what in ("advance", "observe")),
-)  # fmt: skip
-"""Functions whose addresses are in records."""
+"""What the engine lays into memory."""
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
@@ -82,7 +71,7 @@ def page_data() -> dict[str, Any]:
     """All of it."""
     return _plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
-        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
+        "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
         "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
         "no_schedule": image(no_schedule()),
@@ -108,19 +97,18 @@ def _plain(value: Any) -> Any:
 
 def _sizes() -> dict[str, int]:
     return {
-        "parameters": len(PLANT_PARAMETERS), "road_numbers": len(road.NUMBERS), "piece": path.COLUMNS, "block": BLOCK,
-        "slots": SLOTS, "states": STATES, "own_states": len(STATE) - 1, "signals": len(SIGNAL),
-        "measured": len(MEASURED), "sensed": SENSED, "variables": len(NAMES), "situation": 6,
+        "parameters": len(PLANT_PARAMETERS), "own_states": len(STATE) - 1, "measured": len(MEASURED),
+        "road_numbers": len(road.NUMBERS), "piece": path.COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
-        "published_states": len(single_track.STATE), "turning": size_of(Turning), "estimator": size_of(kalman.Numbers),
-        "learner": size_of(learning.Numbers), "answer": len(mpc.ANSWER), "beliefs": len(learning.BELIEFS),
-        "plan": len(PLAN), "turning_lag": Turning._fields.index("lag"), "most_Np": min(150, int(PREDICTION_HORIZON.most)), "most_Nc": min(40, int(CONTROL_HORIZON.most)),
+        "published_states": len(single_track.STATE), "turning": size_of(Turning),
+        "turning_lag": Turning._fields.index("lag"), "estimator": size_of(kalman.Numbers),
+        "learner": size_of(learning.Numbers), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
+        "most_Nc": min(40, int(CONTROL_HORIZON.most)),
     }  # fmt: skip
 
 
-def _car(name: str) -> dict[str, Any]:
+def page_car(made: Vehicle) -> dict[str, Any]:
     """A car as the page reads it from a file."""
-    made = load_vehicle(name)
     sections = ("steering", "body", "known_within", "domain")
     return {
         "name": made.name, "description": made.description,
@@ -153,8 +141,10 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
     law = kind in ("pure-pursuit", "stanley", "lqr")
     known = load_profile(profile)
     if base == "published" and not math.isfinite(known.noise_vy):
-        return {"refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
-                           "takes its state as it is measured: choose a controller that knows its car."}  # fmt: skip
+        return {
+            "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
+            "takes its state as it is measured: choose a controller that knows its car."
+        }
     made = controller_of({"kind": kind}, load_vehicle("paper"), known)
     numbers = controller_numbers(kind if law else base, profile)
     schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
@@ -199,7 +189,7 @@ def _words() -> dict[str, Any]:
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
                  "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
-                 "No speed can be planned on this road."],
+                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0."],
         "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
                   "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",

@@ -18,9 +18,9 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.drive.trajectory import Trajectory
-from adaptrack.drive.simulate import rollouts
 from adaptrack.drive.batch import Batch
+from adaptrack.drive.simulate import rollouts
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed, road_through
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile

@@ -93,9 +93,15 @@ def _of_mach_o(content: bytes) -> set[str]:
     return found
 
 
-class _Reader:
-    def __init__(self, content: bytes) -> None:
-        self.content, self.at = content, 0
+class Reader:
+    """What a file of WebAssembly is made of, one after the other."""
+
+    def __init__(self, content: bytes, at: int = 0) -> None:
+        self.content, self.at = content, at
+
+    def byte(self) -> int:
+        self.at += 1
+        return self.content[self.at - 1]
 
     def number(self) -> int:
         """An unsigned integer of seven bits a byte, the lowest first (LEB128)."""
@@ -106,16 +112,28 @@ class _Reader:
             if byte < 0x80:
                 return value
 
+    def signed(self) -> int:
+        """Likewise, with a sign."""
+        begin = self.at
+        value = self.number()
+        bits = 7 * (self.at - begin)
+        return value - 2**bits if value >> (bits - 1) else value
+
     def bytes(self) -> bytes:
+        """So many as the number says that stands before them."""
         size = self.number()
         self.at += size
         return self.content[self.at - size : self.at]
 
+    def rest(self) -> bytes:
+        """All from here on."""
+        return self.content[self.at :]
+
 
 def _of_wasm(content: bytes) -> set[str]:
-    sections, found = _Reader(content[8:]), set()
+    sections, found = Reader(content[8:]), set()
     while sections.at < len(sections.content):
-        kind, section = sections.number(), _Reader(sections.bytes())
+        kind, section = sections.number(), Reader(sections.bytes())
         if kind != 2:
             continue
         for _ in range(section.number()):

@@ -7,6 +7,7 @@
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
 //   -> {type: "read", id, what, text, name}      <- {type: "read", id, what, ...}      what: "car file" or "csv", see inputs.js
 //   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
+//   -> {type: "memory", id}                      <- {type: "memory", id, bytes, all}
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
 // A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
@@ -378,7 +379,10 @@ function write({ id, what, columns }) {
 }
 
 // -- messages ---------------------------------------------------------------------------------------------------------
-const ANSWERS = { load, start, advance, change, read, write };
+/** Bytes of the kernels' memory that are in use, and of all of it. */
+const used = ({ id }) => [{ type: "memory", id, bytes: memory.used, all: memory.exports.memory.buffer.byteLength }];
+
+const ANSWERS = { load, start, advance, change, read, write, memory: used };
 
 function answers(message) {
   const answer = ANSWERS[message?.type];
