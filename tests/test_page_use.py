@@ -96,10 +96,11 @@ def test_every_control_does_by_key_what_it_does_by_mouse(shown):
             continue
         if kind == "range":
             shown.run(f"controls[{i}].value = controls[{i}].min")
-        if kind in ("select-one",):
+        if kind == "select-one":
             shown.run(f"controls[{i}].selectedIndex = 0")
         shown.press(KEYS.get(kind, "Enter"))
-        if not shown.run("heard.length") and kind != "select-one":
+        # the slider of time hands its keys to the clock, see below
+        if not shown.run(f"heard.length || controls[{i}].dataset.part === 'slider'") and kind != "select-one":
             deaf.append(shown.run(f"{NAME}(controls[{i}])"))
     shown.run("['click', 'input', 'change'].forEach((kind) => removeEventListener(kind, hear, true))")
     assert deaf == []

@@ -83,6 +83,8 @@ def test_names_from_files_cannot_break_the_page(tmp_path):
 
 def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
+    assert set(UNITS) - set(replay_data(labelled([drive]))["cars"][0]["columns"]) == {"planned_speed"}  # none is known
+    drive = dataclasses.replace(drive, planned_speed=drive.speed + 0.5)
     (car,) = replay_data(labelled([drive]))["cars"]
     for name, unit in UNITS.items():
         assert np.abs(unpacked(car["columns"][name]) - getattr(drive, name)).max() <= 0.5 * unit + 1e-9

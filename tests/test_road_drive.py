@@ -18,6 +18,7 @@ from adaptrack.control.controllers import (
     published_mpc,
 )
 from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.peers.kinematic_mpc import KinematicMPC
@@ -294,3 +295,24 @@ def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
     retuned = PurePursuit(CAR, lookahead_time=0.4, lookahead_min=3.0, period=0.05, preview=True)
     assert found[0] == runs.drive(law, [2])[0, 0]
     assert found[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]
+
+
+def test_predicted_paths_are_kept_as_the_car_then_drives():
+    drive, paths = RoadDrive(HAIRPIN, 6.0), PredictedPaths(every=0.3, points=5)
+    run = simulate(PLANT, MPC(CAR, profile="paper"), drive, predicted=paths)
+    assert np.diff(paths.time) == pytest.approx(0.3)
+    assert paths.points.shape == (len(paths), 5, 2)
+    for time, path in list(zip(paths.time, paths.points, strict=True))[:-8]:
+        foretold = np.hypot(*np.diff(path, axis=0).T).sum()
+        assert foretold > 1.0
+        now = np.array([np.interp(time, run.t, values) for values in (run.X, run.Y)])
+        passed = np.column_stack([run.X, run.Y])[run.t > time]
+        for point in path[:3]:
+            assert np.hypot(*(passed - point).T).min() < 0.25
+            assert np.hypot(*(point - now)) > 0.2
+
+
+def test_a_law_that_predicts_nothing_leaves_no_path():
+    paths = PredictedPaths()
+    simulate(PLANT, Stanley(CAR), RoadDrive(HAIRPIN, 6.0), predicted=paths)
+    assert len(paths) == 0

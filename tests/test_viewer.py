@@ -1,6 +1,7 @@
-"""What draws a drive in the browser, on a replay page and while it is driven: its plots tell the numbers they are given."""
+"""What draws a drive in the browser, replayed and while it is driven: it shows and tells the numbers it is given."""
 
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from made_drives import bend, made_drive
 from test_replay import COLLECT, NOTHING_ELSE, ask_page
 
 pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+
+PAGES = Path(__file__).parent / "viewer"
+"""What the browser is given."""
 
 
 def predicted_of(drive, ahead=1.0, points=8):
@@ -40,52 +44,7 @@ def seen(tmp_path_factory, drives):
     page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", drives, png=False)
     return ask_page(
         page,
-        """
-        const {plots, clock, history, view} = replay, named = name => plots.list.find(plot => plot.name === name);
-        found.plots = plots.list.map(plot => plot.name);
-        plots.setSpan(0); plots.draw();
-        found.round = plots.list.map(plot => [[3.5, 0.1], [17, -0.02]].map(([t, value]) => {
-          const there = plot.toValue(...plot.toPixel(t, value)); return [there[0] - t, there[1] - value]; }));
-        const error = named("error");
-        found.thinned = error.lines.map(line => {
-          const drawn = [...error.decimated(line)], values = line.car.columns[line.column];
-          const narrow = drawn.map(i => values[i]);
-          return {drawn: drawn.length, low: Math.min(...narrow), high: Math.max(...narrow),
-                  all: [line.car.count, Math.min(...values), Math.max(...values)], grows: drawn.every((i, k) => !k || i > drawn[k - 1])};
-        });
-        // the cursor: under the pointer of one plot, in all of them and on the road
-        replay.seek(4);
-        const box = error.canvas.getBoundingClientRect(), [px, py] = error.toPixel(9.13, 0);
-        const point = (kind, more = {}) => error.canvas.dispatchEvent(new PointerEvent(kind, {pointerId: 7, pointerType: "mouse", bubbles: true,
-          clientX: box.left + px, clientY: box.top + py, ...more}));
-        error.canvas.setPointerCapture = () => {};
-        const frame = () => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
-        point("pointermove"); await frame();
-        found.cursor = {shown: clock.shown, t: clock.t, texts: plots.list.map(plot => plot.values.map(value => value.textContent)),
-          now: plots.list.map(plot => +plot.canvas.getAttribute("aria-valuenow")), place: {...view.place(0)}, words: part("t").textContent};
-        point("pointerleave"); await frame();
-        found.left = {shown: clock.shown, x: view.place(0).x};
-        point("pointerdown"); point("pointerup"); await frame();
-        found.clicked = replay.state().t;
-        error.canvas.focus();
-        const key = (name, more = {}) => error.canvas.dispatchEvent(new KeyboardEvent("keydown", {key: name, bubbles: true, cancelable: true, ...more}));
-        key("End"); key("ArrowLeft", {shiftKey: true}); await frame();
-        found.byKey = {shown: clock.shown, t: clock.t, told: error.canvas.getAttribute("aria-valuetext")};
-        key("Enter"); found.entered = clock.t;
-        // the driven line, too
-        replay.seek(8); replay.state();
-        const {columns} = history.cars[0], k = columns.time.findIndex(t => t >= 6), [rx, ry] = view.toScreen(columns.x[k], columns.y[k]);
-        const road = canvas.getBoundingClientRect();
-        canvas.dispatchEvent(new PointerEvent("pointermove", {pointerId: 9, pointerType: "mouse", clientX: road.left + rx, clientY: road.top + ry}));
-        found.onRoad = clock.shown;
-        clock.leave(); replay.seek(5);
-        found.said = [view.describe(), error.describe()];
-        part("aloud").click(); found.aloud = part("spoken").textContent;
-        const path = history.cars[0].predicted(columns.time.findIndex(t => t >= 5));
-        found.predicted = {x: [...path.x], y: [...path.y]};
-        found.none = history.cars[1].predicted(50);
-        found.late = history.cars[0].predicted(history.cars[0].count - 1);
-        """,
+        (PAGES / "replay.js").read_text(),
     )
 
 
@@ -150,52 +109,16 @@ def test_the_predicted_path_lies_where_it_was_predicted(seen, drives):
 
 
 # -- a drive that grows -----------------------------------------------------------------------------------------------
-LIVE = """
-<canvas class="road-view" id="road" tabindex="0" style="height: 400px"></canvas><div id="controls"></div><div id="plots"></div>
-<script>(() => {
-%s
-const road = {name: "straight", closed: false, length: 400};
-const s = Float64Array.from({length: 401}, (_, i) => i), at = y => s.map(() => y);
-Object.assign(road, {x: s, y: at(0), left_x: s, left_y: at(3), right_x: s, right_y: at(-3)});
-const columns = ["time", "x", "y", "yaw", "vx", "wheel_angle", "command", "station", "offset", "error", "belief_lag", "belief_lag_sigma", "Np", "guard"];
-const outline = {front: 2, rear: 2, width: 1.8, lf: 1.2, lr: 1.3, track_front: 1.5, track_rear: 1.5};
-const car = name => ({name, columns, horizon: 4, moves: 3, outline, limits: {angle: 0.5, move: 0.02}});
-const history = makeHistory({period: 0.1, road, cars: [car("a"), car("b")]}, {top: 0.5, shades: ["#00f", "#f00"]});
-function frames(first, count) {
-  const each = k => {
-    const numbers = [], predicted = [], moves = [];
-    for (let i = first; i < first + count; i++) {
-      const t = i * 0.1, e = 0.2 * Math.sin(t) * (k + 1);
-      numbers.push(t, 10 * t, e, 0, 10, 0.01, 0.02, 10 * t, e, e, 0.2, 0.05, 20, Math.floor(i / 10));
-      predicted.push(10 * t + 1, 0, 10 * t + 2, 0, k ? NaN : 10 * t + 3, 0, k ? NaN : 10 * t + 4, 0);
-      moves.push(0.01, -0.02, NaN);
-    }
-    return {numbers: Float64Array.from(numbers), predicted: Float32Array.from(predicted), moves: Float32Array.from(moves), ended: null};
-  };
-  return {first, count, cars: [each(0), each(1)]};
-}
-appendFrames(history, frames(0, 60));
-history.truth.belief_lag = [{time: 0, value: 0.2}, {time: 3, value: 0.3}];
-history.patches.push({from: 55, to: 65, friction: 0.2});
-const clock = makeClock({start: 0, end: lastTime(history), period: 0.1, live: true}), pushed = [], drawn = [];
-const canvas = document.getElementById("road"), view = makeRoadView(canvas, history, clock, {onpush: (...words) => pushed.push(words)});
-makeTransport(document.getElementById("controls"), clock, {view, keys: document.body});
-const plots = makePlots(document.getElementById("plots"), history, clock);
-window.live = {history, frames, clock, view, plots, pushed, drawn, canvas, appendFrames, lastTime, RECENT, COARSE};
-})();</script>
-"""
 
 
 def ask_live(script):
-    page = files("adaptrack.export").joinpath("page")
-    scripts = "\n".join(page.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
-    style = "<style>%s</style>" % page.joinpath(STYLE).read_text(encoding="utf-8")
+    sources = files("adaptrack.export").joinpath("page")
+    scripts = "\n".join(sources.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
+    html = (PAGES / "live.html").read_text().replace("/* STYLE */", sources.joinpath(STYLE).read_text(encoding="utf-8"))
     collect = COLLECT.replace("replay = window.adaptrackReplay", "{live} = window").replace(
         'const canvas = document.querySelector("#replay-view canvas");', "const {canvas} = live;"
     )
-    page = (
-        f"<!doctype html><meta charset='utf-8'><link rel='icon' href='data:,'>{style}{LIVE % scripts}{collect % script}"
-    )
+    page = html.replace("/* SCRIPTS */", scripts) + collect % script
     found, said = browser.ask({"/": Served(page, NOTHING_ELSE)})
     assert found["failures"] == []
     assert said == []
@@ -204,52 +127,12 @@ def ask_live(script):
 
 @pytest.fixture(scope="module")
 def live():
-    return ask_live(
-        """
-        const {history, frames, clock, view, plots, pushed, drawn} = live, [a, b] = history.cars;
-        const at = (kind, x, y) => { const box = canvas.getBoundingClientRect(); canvas.dispatchEvent(new PointerEvent(kind,
-          {pointerId: 1, clientX: box.left + x, clientY: box.top + y, bubbles: true, pointerType: "mouse"})); };
-        canvas.setPointerCapture = () => {};
-        found.plots = plots.list.map(plot => plot.name);
-        found.gap = live.appendFrames(history, frames(99, 5));
-        clock.seek(5.9); clock.play();
-        await new Promise(done => setTimeout(done, 150));
-        found.waits = [clock.t, clock.playing];
-        for (let n = 60; n < 6000; n += 500) live.appendFrames(history, frames(n, 500));
-        clock.grow(live.lastTime(history));
-        await until(() => clock.t > 5.95);
-        found.goes = true; clock.pause();
-        found.count = a.count; found.last = a.columns.time[a.count - 1];
-        const starts = i => a.predicted(i).x[0] - 1 - 10 * a.columns.time[i];
-        found.recent = starts(a.count - 3); found.old = [8 * 100 + 5, 8 * 100].map(starts);
-        found.predicted = [a.predicted(50).count, b.predicted(50).count];
-        const plan = a.moves(50); found.moves = [[...plan.values.slice(0, plan.count)], plan.least, plan.most];
-        clock.seek(6); view.draw();
-        found.ice = colourAt(view.toScreen(60.3, 2.4)); found.tar = colourAt(view.toScreen(53, 2.2));
-        const [px, py] = view.toScreen(view.place(0).x, view.place(0).y);
-        at("pointerdown", px, py); at("pointermove", px + 20, py - 30); at("pointerup", px + 20, py - 30);
-        found.pushed = pushed; found.scale = view.scale; found.follows = view.follow;
-        found.told = plots.list.find(plot => plot.name === "lag").describe();
-        found.movesTold = plots.list.find(plot => plot.name === "moves").describe();
-        view.look({x: 0, y: 0, scale: 2});
-        view.startDrawing((points, closed) => drawn.push([points, closed]));
-        at("pointerdown", 100, 100);
-        for (let i = 1; i <= 20; i++) at("pointermove", 100 + 10 * i, 100);
-        at("pointerup", 300, 100);
-        found.expected = view.toWorld(300, 100);
-        view.startDrawing((points, closed) => drawn.push([points, closed]));
-        for (const key of ["Enter", "ArrowRight", "Enter", "ArrowUp", "Enter", "c"]) press(key);
-        view.startDrawing((points, closed) => drawn.push([points, closed]));
-        press("Escape");
-        found.drawn = drawn;
-        """
-    )
+    return ask_live((PAGES / "live.js").read_text())
 
 
 def test_a_live_clock_waits_for_frames_and_goes_on(live):
     assert live["gap"] is False
     assert live["waits"] == [pytest.approx(5.9), True]
-    assert live["goes"]
     assert live["count"] == 6060
     assert live["last"] == pytest.approx(605.9)
 

@@ -92,7 +92,8 @@ def simulate(
     profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
     noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default as the
     driven car's domain says (`Failure.of`): it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why
-    and when; predicted: where to keep the paths that an MPC predicts along a road; progress: called now and then with (periods done, periods in all).
+    and when; predicted: where to keep the paths that an MPC predicts along a road; progress: called now and then with
+    (periods done, periods in all).
 
     Raises
     ------

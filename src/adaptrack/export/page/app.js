@@ -33,7 +33,7 @@ class Refusal extends Error {
 async function makeEngine(died) {
   const {engine: worker, data} = await begin();
   const waiting = [];  // in the order in which they were asked
-  let drives = 0, reads = 0, over = false;
+  let drives = 0, texts = 0, over = false;
 
   function die(why) {
     if (over) return;
@@ -73,7 +73,7 @@ async function makeEngine(died) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
       if (message.type === "start") forget();
       if (message.type === "start") drives++;
-      const id = message.type === "read" ? `read ${++reads}` : drives;
+      const id = message.type === "read" || message.type === "write" ? `text ${++texts}` : drives;
       return new Promise((take, fail) => {
         const watch = setTimeout(() => die("the simulation gave no answer"), 1000 * seconds);
         waiting.push({id, answer: ANSWER[message.type], take, fail, watch});
@@ -141,7 +141,8 @@ async function start(setup, {playing = null, keepNotice = false} = {}) {
 }
 
 function beginDrive(started) {
-  const history = makeHistory(started, {top: 0.5, shades: page.data.shades ?? TRAIL});
+  const history = makeHistory(started, {top: 0.5, shades: TRAIL});
+  history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
   return {started, history, busy: false, over: false, touches: []};
 }
 
@@ -287,9 +288,8 @@ function makeScore() {
   const parts = cars.map((car, i) => {
     const part = document.createElement("div");
     part.id = `score-${i}`;
-    part.innerHTML = `<span class="who"><i class="${i ? "second" : ""}" style="background: var(--series-${i})"></i><span></span></span>
+    part.innerHTML = `<span class="who"><i style="background: var(--series-${i})">${cars.length > 1 ? i + 1 : ""}</i><span id="who-drives-${i}"></span></span>
 <strong class="number" id="error-${i}" data-score="error"></strong><span class="rest" id="rest-${i}" data-score="rest"></span>`;
-    part.querySelector(".who > span").textContent = nameOfCar(i);
     box.append(part);
     return part;
   });
@@ -308,6 +308,7 @@ function showScore() {
     const failed = car.failed !== null && t >= car.failed - 1e-9;
     const last = errorBetween(car, t - WINDOW, t), whole = errorBetween(car, 0, t);
     const [number, unit] = asLength(last.rms);
+    setText(byId(`who-drives-${i}`), nameOfCar(i));
     byId(`score-${i}`).classList.toggle("failed", failed);
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
@@ -326,7 +327,7 @@ function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /, "");
+const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /i, "").replace(/\.$/, "");
 
 // What happened, and what helps.
 function failureSentence(car, i) {
@@ -349,7 +350,7 @@ function remedy(setup, controller, i) {
 
 // ---- pictures
 
-const PLOT_SETS = {few: ["error", "steering"], all: null, paper: ["path", "error", "steering"]};
+const PLOT_SETS = {few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], paper: ["path", "error", "steering"], all: null};
 let plotSet = "few";
 
 function showPictures() {
@@ -370,7 +371,7 @@ function showPictures() {
 
 function choosePlots(name) {
   plotSet = name;
-  byId("plot-choice").value = name === "all" ? "all" : "few";
+  byId("plot-choice").value = name;
   page.plots?.choose(PLOT_SETS[name]);
 }
 
@@ -397,10 +398,14 @@ function showKey() {
 // ---- everything together
 
 const TRAIL = ["#2c7bb6", "#4b9ac0", "#7fbcc9", "#b9d8c4", "#e8e0a6", "#f5b866", "#e88047", "#d1422f"];
-let ticked = 0, begun = false;
+let ticked = 0, begun = false, later = 0;
 
 function tick(now) {
-  if (now - ticked < 180) return;
+  clearTimeout(later);
+  if (now - ticked < 180) {
+    later = setTimeout(page.clock.ask, 200);
+    return;
+  }
   ticked = now;
   showScore();
   page.tell("tick");

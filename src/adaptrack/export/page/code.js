@@ -12,7 +12,9 @@ const told = pairs => Object.entries(pairs).filter(([, value]) => given(value)).
 
 function pythonOf(setup) {
   const {car, road, speed, truth, profile, seed} = setup, lines = ["import adaptrack as at", ""];
-  lines.push(...pythonCar(car), ...pythonWorld(profile, truth), ...pythonDrive(road, speed, truth));
+  const drive = pythonDrive(road, speed, truth), imports = drive.filter(line => line.startsWith("from "));
+  lines.splice(1, 0, ...imports);
+  lines.push(...pythonCar(car), ...pythonWorld(profile, truth), ...drive.filter(line => line && !imports.includes(line)));
   setup.controllers.forEach((controller, i) => {
     const name = setup.controllers.length > 1 ? ` # ${i ? "second" : "first"}` : "";
     lines.push("", `controller = ${pythonController(controller)}${name && ` ${name}`}`,
@@ -30,42 +32,49 @@ function pythonCar({name, sheet, file}) {
 
 function pythonWorld(profile, truth = {}) {
   const lines = [`world = at.load_profile(${text(profile)})`];
-  const steering = told({lag: truth.lag, dead_time: truth.dead_time, bias: truth.bias});
+  let steering = told({lag: truth.lag, dead_time: truth.dead_time, bias: truth.bias});
+  if (truth.lag === 0) steering += ", rate=float('inf')";
   if (steering) lines.push(`world = world.replace(steering=world.steering.replace(${steering}))  # the true steering`);
   if (given(truth.noise) && truth.noise !== 1)
-    lines.push(`world = world.replace(**{n: ${pythonNumber(truth.noise)} * getattr(world, n) for n in ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y")})`);
+    lines.push(`noises = {n: ${pythonNumber(truth.noise)} * v for n, v in dict(world).items() if n.startswith("noise_") and v < float("inf")}`, "world = world.replace(**noises)");
   return lines;
 }
 
+const LENGTHS = {mountain: 1500, country: 2500, town: 1200, motorway: 4000, lap: 1500};  // m, as the page's roads were made
+
+function pythonRoad(road, surface) {
+  if (road.points) return `at.road_through(${road.points.length > MOST_DRAWN ? "points" : JSON.stringify(road.points)}, closed=${road.closed ? "True" : "False"}${surface && `, ${surface}`})`;
+  if (LENGTHS[road.name]) return `at.generate_road(${text(road.name)}, length=${LENGTHS[road.name]}${surface && `, ${surface}`})`;
+  return `page_road(${text(road.name)})${surface && `.replace(${surface})`}`;
+}
+
 function pythonDrive(road, speed, truth = {}) {
-  if (road.test) return [`drive = at.load_scenario(${text(road.test)})`];
-  const friction = given(truth.friction) ? `, friction=${pythonNumber(truth.friction)}` : "";
-  const make = surface => road.points
-    ? `at.road_through(${road.points.length > MOST_DRAWN ? "points" : JSON.stringify(road.points)}, closed=${road.closed ? "True" : "False"}${surface})`
-    : `at.load_road(${text(road.name)}${surface})`;
-  const lines = [];
-  if (road.points?.length > MOST_DRAWN) lines.push(`points = ...  # x, y of your file ${road.name ?? ""}, m`);
-  lines.push(`road = ${make("")}`);
-  const wind = given(truth.wind) && truth.wind ? `, wind=${pythonNumber(truth.wind)}` : "";
-  let plan = pythonNumber(speed?.constant ?? NaN);
-  if (!given(speed?.constant)) {
-    lines.splice(0, 0, "from adaptrack.road.speed import Comfort", "");
-    lines.push(`plan = at.plan_speed(road, car, Comfort(lateral=${pythonNumber(speed.lateral)}))`);
-    plan = "plan";
+  const wind = given(truth.wind) ? `wind=${pythonNumber(truth.wind)}` : "", friction = given(truth.friction) ? `friction=${pythonNumber(truth.friction)}` : "";
+  if (road.test) {
+    const changed = [friction, wind && `${wind}, wind_gain=1.0`].filter(Boolean).join(", ");
+    return [`drive = at.load_scenario(${text(road.test)})${changed && `.replace(${changed})`}`];
   }
-  if (friction) lines.push(`road = ${make(friction)}  # as slippery as it is; planned for a dry one`);
-  lines.push(`drive = at.RoadDrive(road, ${plan}${wind})`);
+  const lines = [], planned = !given(speed?.constant);
+  if (!road.points && !LENGTHS[road.name]) lines.push("from adaptrack.export.page_setup import page_road");
+  if (planned) lines.push("from adaptrack.road import Comfort");
+  if (road.points?.length > MOST_DRAWN) lines.push(`points = ...  # x, y of your file ${road.name ?? ""}, m`);
+  lines.push(`road = ${pythonRoad(road, "")}`);
+  if (planned) lines.push(`plan = at.plan_speed(road, car, Comfort(lateral=${pythonNumber(speed?.lateral ?? TOP.lateral)}))`);
+  if (friction) lines.push(`road = ${pythonRoad(road, friction)}  # as it is; the plan does not know`);
+  const laps = road.points ? road.closed : road.name === "lap" || road.name === "oval";
+  lines.push(`drive = at.RoadDrive(road, ${planned ? "plan" : pythonNumber(speed.constant)}${wind && `, ${wind}`})${laps ? "  # one lap; laps=... for more" : ""}`);
   return lines;
 }
 
 function pythonController({kind, tuning, belief}) {
   const tuned = tuning && TUNINGS.every(name => given(tuning[name])) ? `, at.Tuning(${told(tuning)})` : "";
-  const believed = belief && told(belief) ? `, belief=at.Steering(${told(belief)})` : "";
-  const schedule = SCHEDULES[kind] ? `, scheduler=at.load_scheduler(${text(SCHEDULES[kind])})` : "";
-  if (kind.startsWith("published")) return `at.published_mpc(car${tuned}, period=world.period, preview=world.preview${schedule})`;
-  if (kind === "learning") return `at.MPC(car${tuned}, profile=world, belief="unknown", learning=at.Learning())`;
-  if (kind.startsWith("informed")) return `at.MPC(car${tuned}, profile=${believed ? "world" : text(page.setup.profile)}${believed}, learning=None${schedule})`;
-  return {"pure-pursuit": "at.PurePursuit(car, profile=world)", stanley: "at.Stanley(car, profile=world)", lqr: "at.LQR(car, profile=world)"}[kind] ?? `at.MPC(car)  # ${kind}`;
+  const believed = belief && told(belief) ? `, belief=at.Steering(${told(belief)})` : "", profile = `profile=${text(page.setup.profile)}`;
+  const schedule = SCHEDULES[kind] ? `, scheduler=at.load_scheduler(${text(SCHEDULES[kind])})` : "", loop = "period=world.period, preview=world.preview";
+  if (kind.startsWith("published")) return `at.published_mpc(car${tuned}, ${loop}${schedule})`;
+  if (kind === "learning") return `at.MPC(car${tuned}, ${profile}, learning=at.Learning())`;
+  if (kind === "informed") return `at.MPC(car${tuned}, ${profile}${believed}, learning=None)`;
+  if (SCHEDULES[kind]) return `at.MPC(car${tuned}, ${profile}${believed}${schedule})`;
+  return `${{"pure-pursuit": "at.PurePursuit", stanley: "at.Stanley", lqr: "at.LQR"}[kind]}(car, ${loop})`;
 }
 
 // What the command has options for; what it has not is named.
@@ -78,6 +87,7 @@ function commandOf(setup) {
   const parts = road.test ? ["adaptrack simulate", road.test] : ["adaptrack drive", road.points ? "road.csv" : road.name];
   parts.push(`--vehicle ${vehicle}`, `--profile ${profile}`);
   if (!road.test) parts.push(given(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
+  if (LENGTHS[road.name]) parts.push(`--length ${LENGTHS[road.name]}`);
   if (seed) parts.push(`--seed ${seed}`);
   const names = {informed: "informed", learning: "informed", published: "standard", "pure-pursuit": "pure-pursuit", stanley: "stanley", lqr: "lqr"};
   for (const {kind, tuning, belief} of controllers) {

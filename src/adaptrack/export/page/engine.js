@@ -360,7 +360,8 @@ function sensors(cars, given) {
 
 // -- reading and writing ----------------------------------------------------------------------------------------------
 const READERS = {
-  "car file": ({ text, name }) => ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name })) }),
+  "car file": ({ text, name, others }) =>
+    ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name, others })) }),
   csv: ({ text, name, closed }) => {
     const { points, ...road } = readBy("road", () => inputs.readPoints(text, written.inputs, { name, closed }));
     return { ...road, points: Array.from({ length: points.length / 2 }, (_, k) => [points[2 * k], points[2 * k + 1]]) };

@@ -12,12 +12,12 @@
 //             moves(i) -> null | {values, count, least, most}}],       rad; likewise
 //     events: [{time, text, car?}],                                    marked on the road and in the plots
 //     patches: [{from, to, friction}],                                 m; of ice; or {x, y}: a polygon
-//     truth: {belief_lag: [{time, value}], ...},                       what is true from a time on, by the belief's column
+//     truth: {belief_lag: [{time, value}], ...},         what is true from a time on, by the column of the belief
 //   }
 //
 //   makeHistory(started, {top, shades})   from the worker's "started" message
-//   appendFrames(history, frames)         from its "frames" message; gives false when these frames don't follow. A car's
-//                                         predicted path is a row of x and y in turn, NaN behind its end
+//   appendFrames(history, frames)         from its "frames" message; gives false when these frames don't follow. The
+//                                         predicted path of a car is a row of x and y in turn, NaN behind its end
 //   indexAt(time, count, t)               the last sample at or before t
 //   placeAt(car, t, place)                fills `place`: index, share, x, y, yaw, wheel_angle, failed
 //   valueAt(car, column, t, step)         between two samples on the straight line, or the one before (step)
@@ -78,7 +78,8 @@ function makeHistory(started, {top = 0.5, shades = []} = {}) {
 function growingCar({name, outline, columns: names, horizon = 0, moves: most = 0, limits = {}}) {
   const columns = Object.fromEntries(names.map(each => [each, new Float64Array(1024)]));
   const paths = makeShelf(2 * horizon), plans = makeShelf(most);
-  const path = {x: new Float64Array(horizon), y: new Float64Array(horizon), count: 0}, plan = {values: null, count: 0, least: NaN, most: NaN};
+  const path = {x: new Float64Array(horizon), y: new Float64Array(horizon), count: 0};
+  const plan = {values: null, count: 0, least: NaN, most: NaN};
   return {
     name, outline, limits, names, columns, count: 0, failed: null, ended: null, paths, plans,
     predicted(i) {

@@ -8,44 +8,42 @@
 // Every claim was measured with the setup that the lesson sets; tests/test_page_lessons.py measures them again.
 
 const tune = (Np, Nc, Q, R) => ({Np, Nc, Q, R});
-const truthNow = name => trueValue(name);
-const tuningNow = (name, i = 0) => tuningValue(name, i);
 
 const LESSONS = [
   {
     id: "lag", short: "Lag", title: "A controller that does not know the lag swings",
-    text: "Both cars have the same steering. The first controller knows how slow it is; the second believes that the wheels follow within 0.05 s, which is true now.",
+    text: "Both cars have the same steering, and its lag can be moved. The first controller is told of every change; the second believes 0.05 s, which is true now, and is told nothing.",
     todo: "Raise the true lag to 0.4 s.", does: "Raise it for me",
     setup: () => makeSetup({
-      truth: {lag: 0.05}, controllers: [oneController("informed", {belief: {lag: 0.4, dead_time: 0}}), oneController("informed", {belief: {lag: 0.05, dead_time: 0}})],
+      truth: {lag: 0.05}, controllers: [oneController("informed", {belief: {lag: 0.05, dead_time: 0}, told: true}), oneController("informed", {belief: {lag: 0.05, dead_time: 0}})],
     }),
     act: () => touchSlider("lag", 0.4),
-    done: () => truthNow("lag") >= 0.3,
-    after: "The second car swings about the road, half a metre and more; the first stays within centimetres.",
+    done: () => trueValue("lag") >= 0.3,
+    after: "The second car swings about its road, half a metre and more; the first stays within centimetres.",
   },
   {
     id: "horizon", short: "Horizon", title: "What the horizon does",
-    text: "The dotted line is how far the controller looks ahead: 30 periods of 0.05 s. A horizon that ends before the steering has answered cannot choose, while one beyond half a second gains little.",
+    text: "The dotted line is how far the controller looks ahead: 30 periods of 0.05 s. A horizon that ends before the steering has answered cannot choose, while what lies beyond half a second gains little.",
     todo: "Lower Np to 5.", does: "Lower it for me",
-    setup: () => makeSetup({controllers: [oneController("informed", {tuning: tune(30, 10, 1, 4)})]}),
+    setup: () => makeSetup({road: {name: "oval"}, controllers: [oneController("informed", {tuning: tune(30, 10, 1, 4)})]}),
     open: "more-controller",
     act: () => touchSlider("np", 5),
-    done: () => tuningNow("Np") <= 5,
-    after: "With 0.25 s of foresight it leaves the road; with 8 periods, 0.4 s, it would hold it within centimetres.",
+    done: () => tuningValue("Np", 0) <= 5,
+    after: "With 0.25 s of foresight it swings itself off the road; 8 periods, 0.4 s, would hold it within centimetres.",
   },
   {
     id: "weights", short: "Q against R", title: "Q against R: error against steering",
-    text: "Q weighs the error, R the moves of the wheel; only their ratio counts. Both cars drive the same road with the same noise: the first with R 4, the second with R 1000.",
-    todo: "Give the second car R 100 000.", does: "Raise it for me",
-    setup: () => makeSetup({controllers: [oneController("informed", {tuning: tune(30, 10, 1, 4)}), oneController("informed", {tuning: tune(30, 10, 1, 1000)})]}),
+    text: "Q weighs the error, R the moves of the wheel; only their ratio counts. Both cars drive the same road with the same noise: the first with R 4, the second with R 1000, whose wheel moves a sixth as much.",
+    todo: "Give the second car R 1 000 000.", does: "Raise it for me",
+    setup: () => makeSetup({road: {name: "oval"}, controllers: [oneController("informed", {tuning: tune(30, 10, 1, 4)}), oneController("informed", {tuning: tune(30, 10, 1, 1000)})]}),
     open: "more-controller", car: 1,
-    act: () => touchSlider("r", 1e5),
-    done: () => tuningNow("R", 1) >= 9e4,
-    after: "Its wheels hardly tremble, and it cuts the bends by metres; with too small an R the wheels would rattle with the noise.",
+    act: () => touchSlider("r", 1e6),
+    done: () => tuningValue("R", 1) >= 9e5,
+    after: "Its wheel moves a fifteenth as much as the first car’s, and it strays by tens of centimetres.",
   },
   {
     id: "adaptation", short: "Adaptation", title: "The paper’s adaptation, and what it gains",
-    text: "Speed, wind and friction change along the paper’s general trajectory. The first car has the best constant tuning for it, the second a network that chooses Np, Nc and R for each moment.",
+    text: "Speed, wind and friction change along the paper’s general trajectory, behind a steering with lag. The first car has the best constant tuning for such drives, the second a network that chooses Np, Nc and R for each moment.",
     todo: "Let them drive to the end, and compare the errors.", does: "As fast as it can",
     setup: () => makeSetup({
       car: {name: "paper"}, road: {test: "general-trajectory"}, speed: {constant: 15},
@@ -53,29 +51,29 @@ const LESSONS = [
     }),
     act: () => { page.clock.setRate(Infinity); page.clock.play(); },
     done: () => page.drive?.over,
-    after: "5.1 cm against 3.4 cm. The MPC that knows its car has 1.8 cm with one constant: try it as the second car.",
+    after: "5.1 cm against 3.4 cm. The MPC that knows its car needs no schedule for 1.8 cm: try it as the second car.",
   },
   {
     id: "learning", short: "Unknown car", title: "An unknown car, learned in a minute",
-    text: "Nobody told the first controller how slow this van’s steering is: 0.3 s of lag behind 0.1 s of dead time. It begins with a wide belief and closes in on the truth while it drives; the second believes 0.15 s and no dead time.",
+    text: "Nobody told the first controller how slow this van’s steering is: 0.3 s of lag behind 0.1 s of dead time. It begins with a wide belief and closes in on the truth while it drives; the second believes 0.15 s and no dead time, and stays with it.",
     todo: "Watch the belief until 20 s.", does: "Play",
     setup: () => makeSetup({
       car: {name: "van"}, truth: {lag: 0.3, dead_time: 0.1},
       controllers: [oneController("learning"), oneController("informed", {belief: {lag: 0.15, dead_time: 0}})],
     }),
-    plots: "all",
+    plots: "belief",
     act: () => page.clock.play(),
     done: () => page.clock.t >= 20,
-    after: "The first car has come down from 5 cm to 2 cm; the second is about to leave the road.",
+    after: "The first car has stayed within 7 cm from its first metre; the second swings by half a metre and is about to leave the road.",
   },
   {
     id: "grip", short: "Grip", title: "Near the grip",
-    text: "This speed needs 3.8 m/s² in the bends. On a friction of 1 tyres could give 9.8, on 0.4 just 3.9: down to there the controller hardly notices.",
+    text: "This speed is planned for 3 m/s² in the bends, with peaks near 4. On this friction of 0.5 the tyres can give 4.9, and the controller hardly notices.",
     todo: "Lower the friction to 0.3.", does: "Lower it for me",
-    setup: () => makeSetup({truth: {friction: 0.4}}),
+    setup: () => makeSetup({road: {name: "oval"}, truth: {friction: 0.5}}),
     act: () => touchSlider("friction", 0.3),
-    done: () => truthNow("friction") <= 0.3,
-    after: "Now the tyres cannot give what the bend asks for, and no steering can help: only driving more slowly does.",
+    done: () => trueValue("friction") <= 0.3,
+    after: "2.9 m/s² are less than the next bend asks for, and no steering can help: only driving more slowly does.",
   },
 ];
 const PAPER_TESTS = [

@@ -23,8 +23,9 @@ function addressOf(setup, touches = []) {
   words.set("profile", setup.profile);
   if (setup.seed) words.set("seed", setup.seed);
   for (const name of TRUTHS) if (truth?.[name] != null) words.set(name, shortNumber(truth[name]));
-  controllers.forEach(({kind, tuning, belief}, i) => {
+  controllers.forEach(({kind, tuning, belief, told}, i) => {
     words.set(`c${i + 1}`, kind);
+    if (told) words.set(`c${i + 1}.told`, "1");
     for (const name of TUNINGS) if (tuning?.[name] != null) words.set(`c${i + 1}.${name}`, shortNumber(tuning[name]));
     for (const name of BELIEFS) if (belief?.[name] != null) words.set(`c${i + 1}.belief.${name}`, shortNumber(belief[name]));
   });
@@ -75,7 +76,7 @@ function setupOf(hash) {
       const found = Object.fromEntries(names.map(name => [name, number(`${prefix}.${name}`, 0)]).filter(([, value]) => value !== null));
       return Object.keys(found).length ? found : null;
     };
-    return oneController(words.get(key), {tuning: some(TUNINGS, key), belief: some(BELIEFS, `${key}.belief`)});
+    return oneController(words.get(key), {tuning: some(TUNINGS, key), belief: some(BELIEFS, `${key}.belief`), ...(words.get(`${key}.told`) === "1" ? {told: true} : {})});
   });
   for (const {kind} of controllers) if (!CONTROLLERS[kind]) notes.push(`The link names a controller ${kind}, which this page does not have.`);
   const known = controllers.filter(({kind}) => CONTROLLERS[kind]);

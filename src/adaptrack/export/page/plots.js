@@ -1,18 +1,21 @@
 "use strict";
-// Small plots over time, one cursor through all of them and the road. Needs history.js, viewer.js (palette) and a clock.
+// Small plots over time, one cursor through all of them and the road. Needs history.js, the palette of viewer.js, and a
+// clock.
 //
 //   plots = makePlots(box, history, clock, specs, options)
 //     options: span: s of the window, 0: all
 //     show(history)          another drive
 //     setSpan(seconds)       10, 20, 60, ...; 0: all
 //     choose(names)          which of the specs are shown, by name; null: all that the drive has columns for
-//     list                   the plots shown; each: {name, toPixel(t, value), toValue(px, py), describe(), decimated(line)}
+//     list                   the plots shown; each: {name, toPixel(t, value), toValue(px, py), describe(),
+//                            decimated(line): the indices of the samples that are drawn}
 //     describe()             what all plots show at the cursor, in sentences
 //     draw()                 now, all of them
 //
 //   spec = {name, title, unit, digits, scale (factor to the unit), least (smallest span of the axis), log, around0,
-//           lines: [{column, or, label, step, once}],   of each car, or of the first (once); a second car has its own
-//                                                 colour and dashes; or: the column where there is no such one
+//           lines: [{column, or, label, step, once, ink}],   of each car, or of the first (once); a second car has its
+//                                                 own colour and dashes; or: the column where there is no such one;
+//                                                 ink: a truth. A car without the first of them has no line
 //           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
 //           band: {column, sigma, k, ratio},      value +- k sigma, or times exp(+-k sigma) (ratio)
 //           truth: name,                          in history.truth
@@ -25,12 +28,17 @@
 
 const DEGREES = 180 / Math.PI;
 
+const ROAD_FRICTION = {column: "friction", label: "of the road", once: true, ink: true};
+
 const PLOTS = [
   {
     name: "path", title: "Path beside the road's centre", unit: "m", digits: 3, least: 0.5, asked: true,
     lines: [{column: "offset", label: "driven"}, {column: "y_ref", label: "reference", once: true}],
   },
-  {name: "error", title: "Error", unit: "m", digits: 3, least: 0.1, around0: true, lines: [{column: "error", or: "offset", label: "error"}]},
+  {
+    name: "error", title: "Error", unit: "m", digits: 3, least: 0.1, around0: true,
+    lines: [{column: "error", or: "offset", label: "error"}],
+  },
   {
     name: "steering", title: "Steering", unit: "°", digits: 2, scale: DEGREES, least: 2, around0: true,
     lines: [{column: "command", label: "command"}, {column: "wheel_angle", label: "wheels"}],
@@ -41,24 +49,32 @@ const PLOTS = [
   },
   {
     name: "speed", title: "Speed", unit: "m/s", digits: 2, least: 2,
-    lines: [{column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: true}],
+    lines: [
+      {column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: true},
+    ],
   },
-  {name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true, lines: [{column: "lateral_acceleration", label: "lateral"}]},
+  {
+    name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true,
+    lines: [{column: "lateral_acceleration", label: "lateral"}],
+  },
   ...[
     ["lag", "Believed lag", "s", 3, 0.1, false], ["dead_time", "Believed dead time", "s", 3, 0.1, false],
     ["stiffness", "Believed stiffness", "", 2, 0.2, true], ["bias", "Believed steering bias", "rad", 4, 0.01, false],
     ["friction", "Believed friction", "", 2, 0.2, true],
   ].map(([name, title, unit, digits, least, ratio]) => ({
-    name, title, unit, digits, least, truth: `belief_${name}`, lines: [{column: `belief_${name}`, label: "belief"}],
+    name, title, unit, digits, least, truth: `belief_${name}`,
+    lines: [{column: `belief_${name}`, label: "belief"}, ...(name === "friction" ? [ROAD_FRICTION] : [])],
     band: {column: `belief_${name}`, sigma: `belief_${name}_sigma`, k: 2, ratio},
   })),
   {
     name: "horizons", title: "Horizons chosen", unit: "periods", digits: 0, least: 4,
-    lines: [{column: "Np", label: "Np", step: true}, {column: "Nc", label: "Nc", step: true}], marks: {column: "guard", label: "guard"},
+    lines: [{column: "Np", label: "Np", step: true}, {column: "Nc", label: "Nc", step: true}],
+    marks: {column: "guard", label: "guard"},
   },
   {
     name: "weights", title: "Weights chosen", unit: "", digits: 3, log: true, least: 1,
-    lines: [{column: "Q", label: "Q", step: true}, {column: "R", label: "R", step: true}], marks: {column: "guard", label: "guard"},
+    lines: [{column: "Q", label: "Q", step: true}, {column: "R", label: "R", step: true}],
+    marks: {column: "guard", label: "guard"},
   },
 ];
 
@@ -68,7 +84,8 @@ const columnOf = (car, line) => car.columns[line.column] ? line.column : car.col
 
 // Those of the specs, by name or all, that the drive has something for.
 function specsFor(history, specs = PLOTS, names = null) {
-  const has = spec => history.cars.some(car => spec.kind === "moves" ? car.plans?.width : spec.lines.some(line => columnOf(car, line)));
+  const drawn = (spec, car) => spec.kind === "moves" ? car.plans?.width : columnOf(car, spec.lines[0]);
+  const has = spec => history.cars.some(car => drawn(spec, car));
   return specs.filter(spec => has(spec) && (names ? names.includes(spec.name) : !spec.asked));
 }
 
@@ -137,6 +154,9 @@ function tickText(value, step) {
 
 // ---- one plot
 
+const TRUTH = [4, 2];
+const cssOf = line => line.colour === "ink" ? "var(--ink)" : `var(--series-${line.colour})`;
+const colourOf = line => line.colour === "ink" ? palette.ink : palette.series[line.colour];
 const DASHES = [[[], [2, 3], [8, 3, 2, 3]], [[7, 4], [7, 3, 1, 3], [3, 3]]];  // of a car, of its lines
 const MARGIN = {left: 46, right: 10, top: 8, bottom: 20};
 const points = new Int32Array(1 << 16);  // of the line that is being drawn
@@ -152,15 +172,12 @@ function element(tag, attributes = {}, ...children) {
   return made;
 }
 
+// A piece of a line, for the legend.
 function swatch(colour, dash, wide = 2.4) {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
-  for (const [name, value] of Object.entries({width: 22, height: 8, "aria-hidden": true})) svg.setAttribute(name, value);
-  const drawn = {x1: 0, x2: 22, y1: 4, y2: 4, "stroke-width": wide, "stroke-dasharray": dash.join(" ")};
-  for (const [name, value] of Object.entries(drawn)) line.setAttribute(name, value);
-  line.style.stroke = colour;
-  svg.append(line);
-  return svg;
+  const stroke = `stroke="${colour}" stroke-width="${wide}" stroke-dasharray="${dash.join(" ")}"`;
+  const made = element("template");
+  made.innerHTML = `<svg width="22" height="8" aria-hidden="true"><line x2="22" y1="4" y2="4" ${stroke}/></svg>`;
+  return made.content.firstChild;
 }
 
 // What all kinds of plot have: a figure with title, legend and canvas.
@@ -168,9 +185,11 @@ function makeFrame(spec, history) {
   const title = spec.unit ? `${spec.title} (${spec.unit})` : spec.title;
   const legend = element("ul", {class: "values"}), limit = element("span", {class: "limit"});
   const canvas = element("canvas");
-  const figure = element("figure", {class: "plot", "data-plot": spec.name}, element("figcaption", {}, element("b", {}, title), limit, legend), canvas);
+  const caption = element("figcaption", {}, element("b", {}, title), limit, legend), still = element("canvas");
+  const figure = element("figure", {class: "plot", "data-plot": spec.name}, caption, canvas);
   const frame = {
-    figure, canvas, legend, limit, pen: canvas.getContext("2d"), still: document.createElement("canvas"), width: 1, height: 1, dense: 1,
+    figure, canvas, legend, limit, still, pen: canvas.getContext("2d"), width: 1, height: 1, dense: 1,
+    get inside() { return [frame.width - MARGIN.left - MARGIN.right, frame.height - MARGIN.top - MARGIN.bottom]; },
     resize() {
       frame.dense = window.devicePixelRatio || 1;
       frame.width = Math.max(canvas.clientWidth, 1);
@@ -187,8 +206,8 @@ function makeFrame(spec, history) {
       return value;
     },
     row(k) {
-      const row = element("li");
-      if (history.cars.length > 1 && k >= 0) row.append(element("i", {class: "car", style: `border-color: var(--series-${k % 6})`}, `${k + 1}`));
+      const row = element("li"), style = `border-color: var(--series-${k % 6})`;
+      if (history.cars.length > 1 && k >= 0) row.append(element("i", {class: "car", style}, `${k + 1}`));
       legend.append(row);
       return row;
     },
@@ -200,39 +219,46 @@ function write(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// The lines of all cars: {car, k, column, label, name (in full), dash, step}.
+// The lines of all cars: {car, k, column, label, name (in full), colour, dash, step}.
 function linesOf(spec, history) {
   const several = history.cars.length > 1, alone = spec.lines.length === 1;
+  const shown = history.cars.filter(car => columnOf(car, spec.lines[0]));
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
-    if (!column || line.once && k) return [];
-    const label = several && alone ? car.name : line.label, name = several && !alone ? `${car.name}, ${line.label}` : label;
-    return [{car, k, column, label, name, step: line.step, dash: dashOf(k, j)}];
+    if (!column || !shown.includes(car) || line.once && car !== shown[0]) return [];
+    const label = several && alone ? car.name : line.label, colour = line.ink ? "ink" : k % 6;
+    const name = several && !alone && !line.once ? `${car.name}, ${line.label}` : label;
+    return [{car, k, column, label, name, colour, step: line.step, dash: line.ink ? TRUTH : dashOf(k, j)}];
   }));
 }
 
 function makeTimePlot(spec, history, clock, window_) {
-  const frame = makeFrame(spec, history), lines = linesOf(spec, history), axis = makeAxis(spec), scale = spec.scale ?? 1;
-  const {canvas, figure} = frame, limits = typeof spec.limits === "function" ? spec.limits(history) : spec.limits ?? [];
-  const plot = {name: spec.name, frame, spec, from: 0, to: 1, drawnAt: -1, decimated, toPixel, toValue, describe, paintStill, paint, tell, range, resize: frame.resize};
+  const frame = makeFrame(spec, history), {canvas, figure} = frame, scale = spec.scale ?? 1, axis = makeAxis(spec);
+  const limits = (typeof spec.limits === "function" ? spec.limits(history) : spec.limits) ?? [];
+  const lines = linesOf(spec, history);
   const rows = history.cars.map((_, k) => lines.some(line => line.k === k) ? frame.row(k) : null);
-  const values = lines.map(line => frame.entry(rows[line.k], `var(--series-${line.k % 6})`, line.dash, line.label));
-  const truthValue = spec.truth ? frame.entry(rows.length > 1 ? frame.row(-1) : rows[0], "var(--ink)", [4, 2], "true", 1.6) : null;
-  for (const [name, value] of Object.entries({tabindex: 0, role: "slider", "aria-label": `${spec.title}${spec.unit ? `, ${spec.unit}` : ""}, over time`})) canvas.setAttribute(name, value);
+  const values = lines.map(line => frame.entry(rows[line.k], cssOf(line), line.dash, line.label));
+  const truthRow = spec.truth && (rows.length > 1 ? frame.row(-1) : rows[0]);
+  const truthValue = spec.truth ? frame.entry(truthRow, "var(--ink)", TRUTH, "true", 1.6) : null;
+  const plot = {
+    name: spec.name, spec, frame, figure, canvas, lines, axis, values, from: 0, to: 1, drawnAt: -1, stale: true,
+    toPixel, toValue, decimated, describe, paintStill, paint, tell, resize: frame.resize,
+  };
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "slider");
+  canvas.setAttribute("aria-label", `${spec.title}${spec.unit ? `, ${spec.unit}` : ""}, over time`);
 
   const hasTruth = () => Boolean(spec.truth && history.truth?.[spec.truth]?.length);
 
   // -- geometry
 
-  const inside = () => [frame.width - MARGIN.left - MARGIN.right, frame.height - MARGIN.top - MARGIN.bottom];
-
   function toPixel(t, value) {
-    const [wide, high] = inside();
+    const [wide, high] = frame.inside;
     return [MARGIN.left + (t - plot.from) / (plot.to - plot.from) * wide, MARGIN.top + (1 - axis.share(value)) * high];
   }
 
   function toValue(px, py) {
-    const [wide, high] = inside();
+    const [wide, high] = frame.inside;
     return [plot.from + (px - MARGIN.left) / wide * (plot.to - plot.from), axis.value(1 - (py - MARGIN.top) / high)];
   }
 
@@ -245,8 +271,9 @@ function makeTimePlot(spec, history, clock, window_) {
 
   // The indices that are drawn of a line.
   function decimated(line) {
-    const [from, to] = span(line.car), perSecond = inside()[0] / (plot.to - plot.from);
-    return points.subarray(0, decimate(line.car.columns.time, line.car.columns[line.column], from, to, perSecond, points));
+    const [from, to] = span(line.car), perSecond = frame.inside[0] / (plot.to - plot.from);
+    const {columns} = line.car;
+    return points.subarray(0, decimate(columns.time, columns[line.column], from, to, perSecond, points));
   }
 
   // Least and largest value in the window, of lines, band and truth.
@@ -264,8 +291,11 @@ function makeTimePlot(spec, history, clock, window_) {
     high *= scale;
     if (spec.truth) eachTruth((time, value) => { if (time <= plot.to) take(value); });
     if (spec.band) for (const car of history.cars) {
-      const [from, to] = span(car);
-      if (car.columns[spec.band.sigma]) for (let i = from; i <= to; i += 4) for (const side of [-1, 1]) take(edge(car, i, side));
+      const [from, to] = car.columns[spec.band.sigma] ? span(car) : [0, -1];
+      for (let i = from; i <= to; i += 4) {
+        take(edge(car, i, -1));
+        take(edge(car, i, 1));
+      }
     }
     if (spec.reach) for (const limit of limits) take(limit.value * scale);
     return [low, high];
@@ -277,7 +307,8 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function eachTruth(then) {
-    for (const {time, value} of history.truth?.[spec.truth] ?? []) if (Number.isFinite(value)) then(time, value * scale);
+    for (const {time, value} of history.truth?.[spec.truth] ?? [])
+      if (Number.isFinite(value)) then(time, value * scale);
   }
 
   // -- the part that stands still
@@ -291,7 +322,7 @@ function makeTimePlot(spec, history, clock, window_) {
     drawAxes(pen);
     pen.save();
     pen.beginPath();
-    pen.rect(MARGIN.left, MARGIN.top - 3, ...inside().map((size, i) => size + (i ? 6 : 0)));
+    pen.rect(MARGIN.left, MARGIN.top - 3, ...frame.inside.map((size, i) => size + (i ? 6 : 0)));
     pen.clip();
     drawLimits(pen);
     if (spec.band) history.cars.forEach((car, k) => drawBand(pen, car, k));
@@ -303,7 +334,7 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function drawAxes(pen) {
-    const [wide, high] = inside();
+    const [wide, high] = frame.inside;
     pen.font = `11.5px ${palette.font}`;
     pen.fillStyle = palette.muted;
     pen.strokeStyle = palette.grid;
@@ -324,12 +355,13 @@ function makeTimePlot(spec, history, clock, window_) {
       const x = Math.round(toPixel(t, 0)[0]) + 0.5;
       pen.moveTo(x, MARGIN.top + high);
       pen.lineTo(x, MARGIN.top + high + 3);
-      pen.fillText(`${tickText(t, step)}${t + step > plot.to ? " s" : ""}`, Math.min(x, frame.width - 18), frame.height - 5);
+      const unit = t + step > plot.to ? " s" : "";
+      pen.fillText(`${tickText(t, step)}${unit}`, Math.min(x, frame.width - 18), frame.height - 5);
     }
     pen.stroke();
   }
 
-  const powerText = tick => tick >= 0 && tick < 4 ? String(10 ** tick) : tick < 0 && tick > -4 ? String(+(10 ** tick).toFixed(3)) : `1e${tick}`;
+  const powerText = tick => Math.abs(tick) < 4 ? String(+(10 ** tick).toPrecision(1)) : `1e${tick}`;
 
   function drawLimits(pen) {
     pen.strokeStyle = pen.fillStyle = palette.warn;
@@ -352,11 +384,13 @@ function makeTimePlot(spec, history, clock, window_) {
   function drawBand(pen, car, k) {
     if (!car.columns[spec.band.sigma] || !car.columns[spec.band.column]) return;
     const [from, to] = span(car), {time} = car.columns, stride = Math.max(1, Math.floor((to - from) / 300));
+    if (to < from) return;
+    const side = (i, sign) => pen.lineTo(...toPixel(time[i], edge(car, i, sign)));
     pen.beginPath();
-    for (let i = from; i < to; i += stride) pen.lineTo(...toPixel(time[i], edge(car, i, 1)));
-    if (to >= from) pen.lineTo(...toPixel(time[to], edge(car, to, 1)));
-    if (to >= from) pen.lineTo(...toPixel(time[to], edge(car, to, -1)));
-    for (let i = from + Math.floor(Math.max(to - from - 1, 0) / stride) * stride; i >= from; i -= stride) pen.lineTo(...toPixel(time[i], edge(car, i, -1)));
+    for (let i = from; i < to; i += stride) side(i, 1);
+    side(to, 1);
+    side(to, -1);
+    for (let i = to - 1 - (to - 1 - from) % stride; i >= from; i -= stride) side(i, -1);
     pen.closePath();
     pen.fillStyle = palette.series[k % 6];
     pen.globalAlpha = 0.2;
@@ -367,7 +401,7 @@ function makeTimePlot(spec, history, clock, window_) {
   function drawTruth(pen) {
     pen.strokeStyle = palette.ink;
     pen.lineWidth = 1.6;
-    pen.setLineDash([4, 2]);
+    pen.setLineDash(TRUTH);
     pen.beginPath();
     let before = NaN;
     eachTruth((time, value) => {
@@ -383,10 +417,10 @@ function makeTimePlot(spec, history, clock, window_) {
 
   function drawLine(pen, line) {
     const {time} = line.car.columns, column = line.car.columns[line.column], drawn = decimated(line);
-    const [wide, high] = inside(), perSecond = wide / (plot.to - plot.from);
+    const [wide, high] = frame.inside, perSecond = wide / (plot.to - plot.from);
     const x0 = MARGIN.left - plot.from * perSecond;
     let oldY = 0;
-    pen.strokeStyle = palette.series[line.k % 6];
+    pen.strokeStyle = colourOf(line);
     pen.lineWidth = 1.8;
     pen.lineJoin = "round";
     pen.setLineDash(line.dash);
@@ -449,7 +483,7 @@ function makeTimePlot(spec, history, clock, window_) {
       const value = valueAt(line.car, line.column, t, line.step) * scale;
       const [x, y] = toPixel(Math.min(t, line.car.count ? line.car.columns.time[line.car.count - 1] : t), value);
       if (!Number.isFinite(y) || x < MARGIN.left - 1 || x > frame.width - MARGIN.right + 2) continue;
-      pen.fillStyle = palette.series[line.k % 6];
+      pen.fillStyle = colourOf(line);
       pen.strokeStyle = palette.ground;
       pen.lineWidth = 1.5;
       pen.beginPath();
@@ -472,15 +506,16 @@ function makeTimePlot(spec, history, clock, window_) {
 
   // -- words
 
-  const inUnits = value => `${signed(value, spec.digits ?? 2)}${spec.unit === "°" ? "°" : spec.unit ? ` ${spec.unit}` : ""}`;
+  const unit = spec.unit === "°" ? "°" : spec.unit ? ` ${spec.unit}` : "", digits = spec.digits ?? 2;
+  const inUnits = value => `${signed(value, digits)}${unit}`;
 
   function textAt(line, t) {
-    const value = valueAt(line.car, line.column, t, line.step) * scale;
-    const {band} = spec, sigma = band && line.column === band.column ? valueAt(line.car, band.sigma, t) : NaN;
-    if (!Number.isFinite(value) || !Number.isFinite(sigma)) return inUnits(value);
-    const wide = band.k ?? 2;
-    if (!band.ratio) return `${signed(value, spec.digits)} ± ${inUnits(wide * sigma * scale)}`;
-    return `${inUnits(value)} (${signed(value * Math.exp(-wide * sigma), spec.digits)} to ${signed(value * Math.exp(wide * sigma), spec.digits)})`;
+    const value = valueAt(line.car, line.column, t, line.step) * scale, {band} = spec;
+    const wide = band && line.column === band.column ? (band.k ?? 2) * valueAt(line.car, band.sigma, t) : NaN;
+    if (!Number.isFinite(value) || !Number.isFinite(wide)) return inUnits(value);
+    if (!band.ratio) return `${signed(value, digits)} ± ${inUnits(wide * scale)}`;
+    const [low, high] = [-wide, wide].map(each => signed(value * Math.exp(each), digits));
+    return `${inUnits(value)} (${low} to ${high})`;
   }
 
   function truthAt(t) {
@@ -517,23 +552,27 @@ function makeTimePlot(spec, history, clock, window_) {
       if (low < 0 || column[i] < column[low]) low = i;
       if (high < 0 || column[i] > column[high]) high = i;
     }
-    return low < 0 ? null : {low: column[low] * scale, high: column[high] * scale, lowAt: time[low], highAt: time[high]};
+    if (low < 0) return null;
+    return {low: column[low] * scale, high: column[high] * scale, lowAt: time[low], highAt: time[high]};
+  }
+
+  function rangeText(line) {
+    const found = range(line), at = t => `${signed(t, 1)} s`;
+    if (!found) return "";
+    if (found.low === found.high) return ` ${line.name} is ${inUnits(found.low)} throughout.`;
+    const least = `${inUnits(found.low)} at ${at(found.lowAt)}`, most = `${inUnits(found.high)} at ${at(found.highAt)}`;
+    return ` ${line.name} goes from ${least} to ${most}.`;
   }
 
   function describe() {
     [plot.from, plot.to] = window_(plot);
-    const t = clock.shown;
-    const ranges = lines.map(line => {
-      const found = range(line);
-      if (!found) return "";
-      if (found.low === found.high) return ` ${line.name} is ${inUnits(found.low)} throughout.`;
-      return ` ${line.name} goes from ${inUnits(found.low)} at ${signed(found.lowAt, 1)} s to ${inUnits(found.high)} at ${signed(found.highAt, 1)} s.`;
-    });
-    const met = limits.filter(limit => limit.value > 0).map(limit => ` The ${limit.label} is ±${inUnits(limit.value * scale)}.`);
-    return `${spec.title} at ${signed(t, 2)} s: ${spoken(t)}. Between ${signed(plot.from, 1)} and ${signed(Math.min(plot.to, clock.end), 1)} s:${ranges.join("")}${met.join("")}`;
+    const ends = `Between ${signed(plot.from, 1)} and ${signed(Math.min(plot.to, clock.end), 1)} s:`;
+    const above = limits.filter(({value}) => value > 0);
+    const met = above.map(({label, value}) => ` The ${label} is ±${inUnits(value * scale)}.`);
+    const now = `${spec.title} at ${signed(clock.shown, 2)} s: ${spoken(clock.shown)}.`;
+    return `${now} ${ends}${lines.map(rangeText).join("")}${met.join("")}`;
   }
 
-  Object.assign(plot, {lines, axis, figure, canvas, values});
   listenTo(plot, clock, px => toValue(px, 0)[0]);
   return plot;
 }
@@ -542,15 +581,19 @@ function makeTimePlot(spec, history, clock, window_) {
 
 function makeMovesPlot(spec, history, clock) {
   const frame = makeFrame(spec, history), {canvas, figure} = frame, scale = spec.scale ?? 1;
-  const axis = makeAxis({least: 0.02, around0: true});
-  const plot = {name: spec.name, frame, spec, figure, canvas, drawnAt: -1, describe, paintStill() {}, paint, tell, lines: [], resize: frame.resize};
-  const values = history.cars.map((car, k) => frame.entry(frame.row(k), `var(--series-${k % 6})`, [], history.cars.length > 1 ? car.name : "next move", 7));
+  const axis = makeAxis({least: 0.02, around0: true}), several = history.cars.length > 1;
+  const values = history.cars.map((car, k) =>
+    frame.entry(frame.row(k), `var(--series-${k % 6})`, [], several ? car.name : "next move", 7));
+  const plot = {
+    name: spec.name, spec, frame, figure, canvas, lines: [], axis, values, drawnAt: -1, stale: true,
+    describe, paintStill() {}, paint, tell, resize: frame.resize,
+  };
   canvas.setAttribute("role", "img");
 
   const movesOf = car => car.count ? car.moves?.(indexAt(car.columns.time, car.count, clock.shown)) ?? null : null;
 
   function paint() {
-    const {pen} = frame, wide = frame.width - MARGIN.left - MARGIN.right, high = frame.height - MARGIN.top - MARGIN.bottom;
+    const {pen} = frame, [wide, high] = frame.inside;
     pen.setTransform(frame.dense, 0, 0, frame.dense, 0, 0);
     pen.clearRect(0, 0, frame.width, frame.height);
     let most = 0, count = 1, limit = NaN;
@@ -586,7 +629,8 @@ function makeMovesPlot(spec, history, clock) {
     pen.textAlign = "center";
     pen.textBaseline = "alphabetic";
     const every = Math.max(1, Math.ceil(count / 6));
-    for (let j = 0; j < count; j += every) pen.fillText(`${j + 1}`, MARGIN.left + (j + 0.5) * wide / count, frame.height - 5);
+    for (let j = 0; j < count; j += every)
+      pen.fillText(`${j + 1}`, MARGIN.left + (j + 0.5) * wide / count, frame.height - 5);
     pen.textAlign = "right";
     if (count > 1) pen.fillText("period", frame.width - 2, frame.height - 5);
   }
@@ -635,7 +679,8 @@ function makeMovesPlot(spec, history, clock) {
       if (!plan) return `${car.name} plans no moves`;
       const most = Math.max(...Array.from(plan.values.subarray(0, plan.count), Math.abs));
       const limit = Number.isFinite(plan.most) ? ` of at most ±${inUnits(plan.most)}` : "";
-      return `${car.name} plans ${plan.count} moves, the next ${inUnits(plan.values[0])}, the largest ${inUnits(most)}${limit}`;
+      const next = inUnits(plan.values[0]);
+      return `${car.name} plans ${plan.count} moves, the next ${next}, the largest ${inUnits(most)}${limit}`;
     });
     return `${spec.title} at ${signed(clock.shown, 2)} s: ${said.join("; ")}.`;
   }
@@ -685,21 +730,23 @@ function listenTo(plot, clock, timeAt) {
 // ---- all plots
 
 const SPANS = [10, 20, 30, 60, 90, 120, 180, 300, 600, 900, 1200, 1800, 2700, 3600, 5400, 7200, 14400];
-const BUDGET = 5, TELL = 120;  // ms: of drawing lines anew in a frame; between two changes of words while it plays
-const SLOW = 20, REST = 150;  // ms: where frames take longer than SLOW, a plot's lines rest so long
+const STEPS = 300;  // of a window: what moves by less is not drawn anew while it plays
+const TELL = 120;  // ms between two changes of the words while it plays
+const AT_ONCE = 4, AT_ONCE_SLOW = 2, SLOW = 20;  // plots drawn anew in a frame; where frames take longer than SLOW ms
 
 function makePlots(box, history, clock, specs = null, options = {}) {
   const plots = {list: [], show, setSpan, choose, describe, draw, span: options.span ?? 20};
-  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, version = -1, seen = null, before = 0, pace = 0;
+  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, painted = NaN, seen = null, before = 0, pace = 0;
   box.classList.add("plots");
 
   // The window: of so many seconds about the clock, moved only when the clock comes to its edge.
   function windowNow() {
     const start = clock.start, end = Math.max(clock.end, start + 1e-3);
-    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each >= (end - start) * 1.001) : end];
-    const span = clock.live ? plots.span : Math.min(plots.span, end - start);
+    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each > end - start) : end];
+    const span = clock.live ? plots.span : Math.min(plots.span, end - start), step = span / STEPS;
     if (clock.t > from + 0.96 * span) from = clock.t - 0.96 * span;
     if (clock.t < from) from = clock.t - 0.04 * span;
+    from = start + Math.ceil((from - start) / step - 1e-6) * step;
     from = Math.max(start, clock.live ? from : Math.min(from, end - span));
     return [from, from + span];
   }
@@ -716,14 +763,14 @@ function makePlots(box, history, clock, specs = null, options = {}) {
 
   function setSpan(seconds) {
     plots.span = seconds;
-    version = -1;
     clock.ask();
   }
 
   function build() {
     observer.disconnect();
     from = clock.start;
-    plots.list = specsFor(history, specs ?? PLOTS, chosen).map(spec => spec.kind === "moves" ? makeMovesPlot(spec, history, clock) : makeTimePlot(spec, history, clock, windowNow));
+    plots.list = specsFor(history, specs ?? PLOTS, chosen).map(spec =>
+      spec.kind === "moves" ? makeMovesPlot(spec, history, clock) : makeTimePlot(spec, history, clock, windowNow));
     box.replaceChildren(...plots.list.map(plot => plot.figure));
     for (const plot of plots.list) {
       plot.resize();
@@ -738,30 +785,27 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   });
 
   // What the lines depend on: as long as none of it changes they are not drawn again.
-  function state() {
-    const [left, right] = windowNow();
-    return [left, right, clock.end, palette.version, history.events.length, truths(), plots.span];
+  function state([left, right]) {
+    const step = clock.playing ? (right - left) / STEPS : 1e-9, known = Math.floor(Math.min(clock.end, right) / step);
+    const truths = Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
+    return [left, right, known, palette.version, history.events.length, truths];
   }
 
-  const truths = () => Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
-
   function paint(now) {
-    const next = state();
-    if (!seen || version !== palette.version || next.some((each, i) => each !== seen[i])) {
-      seen = next;
-      version = palette.version;
-      for (const plot of plots.list) plot.stale = true;
-    }
+    const ends = windowNow(), next = state(ends);
+    if (!seen || next.some((each, i) => each !== seen[i])) for (const plot of plots.list) plot.stale = true;
+    seen = next;
     pace += 0.1 * (Math.min(now - before, 100) - pace);
     before = now;
-    const rest = clock.playing && pace > SLOW ? REST : 0, begun = performance.now();
-    const waiting = plots.list.filter(plot => plot.stale && now - plot.drawnAt >= rest).sort((a, b) => a.drawnAt - b.drawnAt);
-    for (const plot of waiting) {
-      if (performance.now() - begun > BUDGET) break;
+    const drawn = plots.list.filter(plot => plot.stale).sort((a, b) => a.drawnAt - b.drawnAt);
+    drawn.length = Math.min(drawn.length, clock.playing && pace > SLOW ? AT_ONCE_SLOW : AT_ONCE);
+    for (const plot of drawn) {
       plot.paintStill(now);
       plot.stale = false;
     }
-    for (const plot of plots.list) plot.paint();
+    const moved = !clock.playing || !(Math.abs(clock.t - painted) < 0.5 * (ends[1] - ends[0]) / STEPS);
+    if (moved) painted = clock.t;
+    for (const plot of moved ? plots.list : drawn) plot.paint();
     if (plots.list.some(plot => plot.stale)) clock.ask();
     if (clock.shown !== told && (!clock.playing || now - toldAt > TELL)) tell(now);
   }
@@ -786,7 +830,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
     return plots.list.map(plot => plot.describe()).join(" ");
   }
 
-  onPaletteChange(() => { version = -1; clock.ask(); });
+  onPaletteChange(clock.ask);
   build();
   clock.paint(paint);
   return plots;

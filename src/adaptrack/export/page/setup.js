@@ -24,7 +24,7 @@ const CARS = {
   "midsize-sedan": "midsize sedan", "small-car": "small car", "compact-ev": "compact electric car", "sports-car": "sports car",
   van: "van", "model-car": "model car", paper: "car of the paper",
 };
-const ROADS = {mountain: "a mountain road", country: "a country road", town: "a town road", motorway: "a motorway", lap: "a closed lap"};
+const ROADS = {mountain: "a mountain road", country: "a country road", town: "a town road", motorway: "a motorway", lap: "a closed lap", oval: "an oval"};
 const TOP = {lateral: 3, constant: 15};
 
 const noTruth = () => ({lag: null, dead_time: null, bias: null, noise: null, friction: null, wind: null});
@@ -43,18 +43,21 @@ const copyOf = value => structuredClone(value);
 
 const namesIn = (given, known) => !given ? Object.keys(known)
   : Array.isArray(given) ? given.map(each => each.name ?? each) : Object.keys(given);
-const nameOfController = kind => CONTROLLERS[kind] ?? kind;
+const nameOfController = (kind, names = CONTROLLERS) => names[kind] ?? kind;
 const carName = car => car.name ? CARS[car.name] ?? car.name
   : car.sheet ? `car of ${car.sheet.mass} kg` : `car of the file ${car.file?.name ?? ""}`.trim();
 const roadName = road => road.test ? TESTS[road.test] ?? road.test
   : road.name && !road.points ? ROADS[road.name] ?? road.name : road.name || "a road of its own";
 
+// What tells it from the one beside it.
 function nameOfCar(i) {
-  const {controllers} = page.setup, {kind, belief} = controllers[i] ?? {};
-  const short = SHORT[kind] ?? kind;
-  const alike = controllers.length > 1 && controllers[0].kind === controllers[1].kind;
-  if (alike && belief?.lag != null) return `${short.replace("knows its car", "MPC")}, believes ${belief.lag.toFixed(2)} s of lag`;
-  return alike ? `${short} (${i ? "second" : "first"})` : short;
+  const {controllers} = page.setup, {kind, belief, told, tuning} = controllers[i] ?? {}, other = controllers[1 - i];
+  const short = nameOfController(kind, SHORT), own = kind === "informed" ? "MPC" : short;
+  if (told) return `${own} that is told the lag`;
+  if (given(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
+  if (other?.kind !== kind) return short;
+  const differs = tuning && TUNINGS.filter(name => tuning[name] !== other.tuning?.[name]);
+  return differs?.length ? `${own}, ${differs.map(name => `${name} ${niceNumber(tuning[name])}`).join(", ")}` : `${short} (${i ? "second" : "first"})`;
 }
 
 // ---- the sentence
@@ -83,6 +86,12 @@ function showChoices() {
   const prescribed = Boolean(road.test);  // a test says its own speed
   field.disabled = byId("setup-speed-kind").disabled = prescribed;
   for (const id of ["sheet", "file-car", "file-road", "draw"]) byId(id).hidden = true;
+  if (!CSS.supports("field-sizing", "content")) document.querySelectorAll("#setup select").forEach(fit);
+}
+
+// A select as wide as what is chosen in it, where the browser does not do that itself.
+function fit(select) {
+  select.style.width = `${(select.selectedOptions[0]?.text.length ?? 6) + 3}ch`;
 }
 
 // A drive of another setup; what was refused leaves the old drive and says why.
@@ -106,7 +115,7 @@ function setUpChoosing() {
   for (const i of [0, 1]) byId(`setup-controller-${i}`).onchange = event => chooseController(i, event.target.value);
   byId("again").onclick = () => choose({}, {playing: true});
   byId("sheet-drive").onclick = chooseSheet;
-  byId("car-file").onchange = event => takeFile(event.target.files[0], "car");
+  byId("car-file").onchange = event => takeFiles(event.target.files, "car");
   byId("road-file").onchange = event => takeFile(event.target.files[0], "road");
   listenForDrops();
   setUpDrawing();
@@ -175,14 +184,23 @@ function listenForDrops() {
     if (!carries(event)) return;
     event.preventDefault();
     mark(-Infinity);
-    takeFile(event.dataTransfer.files[0], "");
+    takeFiles(event.dataTransfer.files, "");
   });
 }
 
 const megabytes = bytes => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 
+// Files that come together: a car may have the file of its tyre beside it; the one that says a mass is the car.
+async function takeFiles(files, what) {
+  const small = [...files].filter(file => file.size <= MOST_BYTES && /\.toml$/i.test(file.name));
+  const others = small.length < 2 ? {}
+    : Object.fromEntries(await Promise.all(small.map(async file => [file.name, await file.text()])));
+  const car = small.find(file => /^[ \t]*mass[ \t]*=/m.test(others[file.name] ?? ""));
+  await takeFile(car ?? files[0], what, others);
+}
+
 // A file that was chosen or dropped: a car (.toml) or a road (anything else, as CSV).
-async function takeFile(file, what) {
+async function takeFile(file, what, others = {}) {
   if (!file) return;
   const kind = what || (/\.toml$/i.test(file.name) ? "car" : "road");
   if (file.size > MOST_BYTES) {
@@ -191,15 +209,15 @@ async function takeFile(file, what) {
     return;
   }
   try {
-    await takeText(await file.text(), kind, file.name.replace(/\.[^.]*$/, ""), file.name);
+    await takeText(await file.text(), kind, file.name.replace(/\.[^.]*$/, ""), file.name, others);
   } catch (error) {
     page.notice(`${file.name}: ${error.message.replace(/\.?$/, ".")}`);
   }
 }
 
-async function takeText(text, kind, name, file) {
+async function takeText(text, kind, name, file, others) {
   if (kind === "car") {
-    const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file});
+    const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file, others});
     await choose({car: {file: {name, ...car}}}, {playing: true});
   } else {
     const {points, closed} = await page.engine.ask({type: "read", what: "csv", text, name, file});

@@ -6,7 +6,7 @@
 
 const LAGS = [0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1];
 const HALVINGS = 2;  // between the last lag that is borne and the first that is not
-const TRIED = 40;  // s of each drive
+const TRIED = 30;  // s of each drive
 const BORNE = 0.5;  // m, from its line at most
 let sweeping = null;
 
@@ -100,20 +100,21 @@ function showSweep(found, lag) {
 
 // Error over lag, logarithmic; a ring for the first car, a square for the second, a cross where the car was lost.
 function sweepPicture(found) {
-  const [width, height, left, right, top, bottom] = [360, 190, 44, 8, 8, 34];
+  const [width, height, left, right, top, bottom] = [360, 190, 44, 14, 8, 34];
   const x = lag => left + lag * (width - left - right), least = -2.3, most = 1;
   const y = value => top + (most - Math.min(Math.max(Math.log10(value), least), most)) / (most - least) * (height - top - bottom);
   const words = (px, py, said, more = "") => `<text x="${px}" y="${py}" font-size="12" fill="var(--muted)" ${more}>${said}</text>`;
-  const parts = [`<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="RMS error over lag; the sentence below says what it shows">`];
+  const parts = [`<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Largest error over lag; the sentence below says what it shows">`];
   for (const [value, said] of [[0.01, "1 cm"], [0.1, "10 cm"], [1, "1 m"], [10, "10 m"]])
     parts.push(`<line x1="${left}" x2="${width - right}" y1="${y(value)}" y2="${y(value)}" stroke="var(--grid)"/>`, words(left - 5, y(value) + 4, said, 'text-anchor="end"'));
+  parts.push(`<line x1="${left}" x2="${width - right}" y1="${y(BORNE)}" y2="${y(BORNE)}" stroke="var(--warn)" stroke-dasharray="2 3"/>`, words(width - right, y(BORNE) - 4, lengthText(BORNE), 'text-anchor="end"'));
   for (const lag of [0, 0.2, 0.4, 0.6, 0.8, 1]) parts.push(words(x(lag), height - bottom + 15, lag.toFixed(1), 'text-anchor="middle"'));
-  parts.push(words((left + width - right) / 2, height - 4, "true lag (s); error, RMS", 'text-anchor="middle"'));
+  parts.push(words((left + width - right) / 2, height - 4, "true lag (s); largest error", 'text-anchor="middle"'));
   found.forEach(({tried}, i) => {
     const colour = `var(--series-${i})`;
-    parts.push(`<polyline fill="none" stroke="${colour}" stroke-width="2" ${i ? 'stroke-dasharray="6 4"' : ""} points="${tried.map(each => `${x(each.lag)},${y(each.rms)}`).join(" ")}"/>`);
-    for (const {lag, rms, failed} of tried) {
-      const [px, py] = [x(lag), y(rms)];
+    parts.push(`<polyline fill="none" stroke="${colour}" stroke-width="2" ${i ? 'stroke-dasharray="6 4"' : ""} points="${tried.map(each => `${x(each.lag)},${y(each.most)}`).join(" ")}"/>`);
+    for (const {lag, most: reach, failed} of tried) {
+      const [px, py] = [x(lag), y(reach)];
       parts.push(failed
         ? `<path d="M${px - 4.5} ${py - 4.5}l9 9m0 -9l-9 9" stroke="var(--warn)" stroke-width="2.5"/>`
         : i ? `<rect x="${px - 3.5}" y="${py - 3.5}" width="7" height="7" fill="${colour}"/>` : `<circle cx="${px}" cy="${py}" r="4" fill="${colour}"/>`);

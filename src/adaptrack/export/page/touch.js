@@ -18,8 +18,8 @@ const SLIDERS = [
   {id: "belief-dead-time", box: "controller", kind: "belief", name: "dead_time", label: "Dead time that the controller believes", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "np", box: "controller", kind: "tuning", name: "Np", label: "Horizon Np", unit: "periods", least: 2, most: 60, step: 1, digits: 0},
   {id: "nc", box: "controller", kind: "tuning", name: "Nc", label: "Moves Nc", unit: "", least: 1, most: 20, step: 1, digits: 0},
-  {id: "q", box: "controller", kind: "tuning", name: "Q", label: "Weight Q of the error", unit: "1/m²", least: -3, most: 4, step: 0.05, log: true},
-  {id: "r", box: "controller", kind: "tuning", name: "R", label: "Weight R of the moves", unit: "1/rad²", least: -3, most: 6, step: 0.05, log: true},
+  {id: "q", box: "controller", kind: "tuning", name: "Q", label: "Weight Q of the error (1/m²)", unit: "", least: -3, most: 4, step: 0.05, log: true},
+  {id: "r", box: "controller", kind: "tuning", name: "R", label: "Weight R of the moves (1/rad²)", unit: "", least: -3, most: 6, step: 0.05, log: true},
 ];
 const SENSORS = {
   y: "Position", yaw: "Heading", yaw_rate: "Yaw rate", vy: "Lateral velocity", wheel_angle: "Wheel angle", lateral_acceleration: "Lateral acceleration",
@@ -35,14 +35,16 @@ let chosenCar = 0;  // whose belief and tuning the sliders set
 
 // ---- what is so now
 
-const FROM_PROFILE = {noise: 1, friction: 1, wind: 0};
-const STEERINGS = {road: {lag: 0.15, dead_time: 0}, production: {lag: 0.2, dead_time: 0.05}, paper: {lag: 0, dead_time: 0}};
-const steeringOf = profile => page.data.profiles?.[profile]?.steering ?? STEERINGS[profile] ?? {};
+const USUAL = {noise: 1, wind: 0};
+const OF_TESTS = new Set(["friction", "wind"]);  // a test of the paper says them, and they change
+const steeringOf = profile => page.data.profiles[profile]?.actuator ?? {};
 
 function trueValue(name) {
-  const {truth, profile} = page.setup, given = truth?.[name];
+  const {truth, profile, road} = page.setup, given = truth?.[name];
   if (given !== null && given !== undefined) return given;
-  return FROM_PROFILE[name] ?? steeringOf(profile)[name] ?? (name === "bias" ? 0 : null);
+  if (road.test && OF_TESTS.has(name)) return null;
+  if (name === "friction") return (page.data.roads[road.name] ?? page.data.road_defaults)?.friction ?? null;
+  return USUAL[name] ?? steeringOf(profile)[name] ?? null;
 }
 
 function believedValue(name, i) {
@@ -52,10 +54,8 @@ function believedValue(name, i) {
 }
 
 function tuningValue(name, i) {
-  const controller = page.setup.controllers[i], car = page.drive?.history.cars[i];
-  const set = controller?.tuning?.[name];
-  if (set !== null && set !== undefined) return set;
-  return car?.count ? car.columns[name]?.[0] ?? null : null;
+  const {controllers, profile} = page.setup, {kind, tuning} = controllers[i] ?? {};
+  return tuning?.[name] ?? page.data.controllers[kind]?.[profile]?.usual?.[name] ?? null;
 }
 
 function valueOf(slider) {
@@ -66,13 +66,12 @@ function valueOf(slider) {
 
 // Why a slider has nothing to set, "" where it has.
 function unused({kind, name}) {
-  const {controllers, profile, road} = page.setup, controller = controllers[chosenCar] ?? controllers[0];
+  const {controllers, profile} = page.setup, controller = controllers[chosenCar] ?? controllers[0];
   if (kind === "truth" && name === "lag" && profile === "paper") return "The paper’s steering follows at once.";
   if (kind === "belief" && controller.kind === "learning") return "It learns this by itself: see the plot of its belief.";
   if (kind === "belief" && !BELIEVES.has(controller.kind)) return "This controller has no belief about the steering.";
   if (kind === "tuning" && !PREDICTS.has(controller.kind)) return "This controller has no horizon and no weights.";
   if (kind === "tuning" && SCHEDULED(controller.kind)) return "The schedule chooses this.";
-  if (kind === "truth" && name === "friction" && road.test) return "";
   return "";
 }
 
@@ -80,7 +79,7 @@ function unused({kind, name}) {
 
 const written = (slider, value) => slider.log ? niceNumber(value) : (value / (slider.scale ?? 1)).toFixed(slider.digits).replace("-", "−");
 const withUnit = (slider, value) => `${written(slider, value)}${slider.unit && slider.unit !== "°" && slider.unit !== "×" ? " " : ""}${slider.unit}`;
-const niceNumber = value => value >= 1e4 || value < 1e-2 ? value.toExponential(0).replace("e+", "e").replace("e-", "e−") : String(+value.toPrecision(2));
+const niceNumber = value => value < 1e-2 ? value.toExponential(0).replace("e-", "e−") : (+value.toPrecision(2)).toLocaleString("en").replaceAll(",", "\u202f");
 const toSlider = (slider, value) => slider.log ? Math.log10(value) : value / (slider.scale ?? 1);
 const fromSlider = (slider, value) => slider.log ? +(10 ** value).toPrecision(3) : +(value * (slider.scale ?? 1)).toPrecision(6);
 
@@ -102,44 +101,76 @@ function showSlider(slider) {
   input.disabled = Boolean(why);
   hint.hidden = !why;
   setText(hint, why);
-  const text = value === null || !Number.isFinite(value) ? "–" : withUnit(slider, value);
+  const text = value === null || !Number.isFinite(value) ? "as in the test" : withUnit(slider, value);
   setText(byId(`value-${slider.id}`), why ? "" : text);
   if (value !== null && document.activeElement !== input) input.value = toSlider(slider, value);
   input.setAttribute("aria-valuetext", text);
 }
 
 function showSliders() {
-  if (page.setup) SLIDERS.forEach(showSlider);
+  if (!page.setup) return;
+  SLIDERS.forEach(showSlider);
+  showTold();
 }
 
-// Touches while one is on its way: only the last is kept.
-const waiting = {sent: false, next: null};
-function send(touch) {
-  if (waiting.sent) {
-    if (waiting.next && waiting.next.said.key !== touch.said.key) change(waiting.next.car, waiting.next.what, waiting.next.said);
-    waiting.next = touch;
-    return;
+// Of touches that wait for one on its way, the last of each kind is sent.
+const waiting = new Map();
+let sending = false;
+async function send(touch) {
+  waiting.set(touch.said.key, touch);
+  if (sending) return;
+  sending = true;
+  while (waiting.size) {
+    const [key, {car, what, said}] = waiting.entries().next().value;
+    waiting.delete(key);
+    await change(car, what, said);
   }
-  waiting.sent = true;
-  change(touch.car, touch.what, touch.said).finally(() => {
-    waiting.sent = false;
-    const {next} = waiting;
-    waiting.next = null;
-    if (next) send(next);
-  });
+  sending = false;
 }
 
 function slide(slider, value) {
   const {setup} = page, {kind, name} = slider;
-  const who = setup.controllers.length > 1 && kind !== "truth" ? ` of ${nameOfCar(chosenCar)}` : "";
+  const who = setup.controllers.length > 1 && kind !== "truth" ? `, ${chosenCar ? "second" : "first"} car` : "";
   const said = {text: `${slider.label}${who}: ${withUnit(slider, value)}`, key: `${slider.id}-${kind === "truth" ? "" : chosenCar}`};
   const what = set(setup, kind, name, value);
   page.setup = copyOf(setup);
   if (kind === "truth") tellTruth(name, value);
+  if (kind === "belief") controllerNow().told = false;
   showSlider(slider);
   byId(`touch-${slider.id}`).setAttribute("aria-valuetext", withUnit(slider, value));
   send({car: kind === "truth" ? null : chosenCar, what, said});
+  if (kind === "truth") page.setup.controllers.forEach((_, i) => tellController(i, name));
+  showTold();
   page.tell("touched", slider, value);
+}
+
+// Who is told of every change believes what is true.
+function tellController(i, name) {
+  const controller = page.setup.controllers[i];
+  if (!controller.told || !BELIEVES.has(controller.kind) || !(name in {lag: 0, dead_time: 0})) return;
+  controller.belief = {lag: trueValue("lag"), dead_time: trueValue("dead_time")};
+  send({car: i, what: {belief: {...controller.belief}}, said: {key: `told-${i}`}});
+  SLIDERS.filter(({kind}) => kind === "belief").forEach(showSlider);
+}
+
+const controllerNow = () => page.setup.controllers[chosenCar] ?? page.setup.controllers[0];
+
+function showTold() {
+  const {kind, told} = controllerNow();
+  byId("told").checked = Boolean(told) && BELIEVES.has(kind);
+  byId("told").disabled = !BELIEVES.has(kind);
+}
+
+function makeTold() {
+  const label = document.createElement("label");
+  label.innerHTML = '<input type="checkbox" id="told" data-touch="told"> it is told the truth at every change';
+  byId("touch-belief-lag").after(label);
+  label.firstChild.onchange = event => {
+    page.setup = copyOf(page.setup);
+    controllerNow().told = event.target.checked;
+    if (event.target.checked) tellController(chosenCar, "lag");
+    page.tell("touched", {id: "told"}, event.target.checked);
+  };
 }
 
 // Write it into the setup; gives what the engine is told.
@@ -245,6 +276,7 @@ function showTouches() {
 
 function setUpTouching() {
   SLIDERS.forEach(makeSlider);
+  makeTold();
   makeSensors();
   byId("push-left").onclick = () => push(PUSH);
   byId("push-right").onclick = () => push(-PUSH);
@@ -257,9 +289,6 @@ function setUpTouching() {
     for (const name of Object.keys(TRUE_LINES)) tellTruth(name, trueValue(name), 0);
     showTouches();
   });
-  let known = false;
-  page.on("started", () => { known = false; });
-  page.on("frames", () => { if (!known) { known = true; showSliders(); } });
   page.on("changed", showTouches);
   setUpSweep();
 }

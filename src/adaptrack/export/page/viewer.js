@@ -18,9 +18,9 @@
 //     describe()             what the picture shows, in words
 //     draw()                 now, without waiting for a frame
 //
-//   Hovering the driven line sets the clock's cursor, a click on it seeks. While the cursor is set by a plot, the picture
-//   shows that instant: the car itself where the drive stands still, a ghost where it plays.
-//   Colours: CSS variables --ink --muted --grid --ground --raised --road --warn --ice --series-0..5 of the canvas' document;
+//   Hovering the driven line sets the clock's cursor, a click on it seeks. While the cursor is set by a plot, the
+//   picture shows that instant: the car itself where the drive stands still, a ghost where it plays.
+//   Colours: CSS variables --ink --muted --grid --ground --raised --road --warn --ice --series-0..5 of the document;
 //   refreshPalette() reads them anew after a change of theme.
 
 // ---- colours, shared with the plots
@@ -96,8 +96,10 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   // -- what is where
 
-  const toScreen = (x, y) => [(x - view.x) * view.scale + view.width / 2, view.height / 2 - (y - view.y) * view.scale];
-  const toWorld = (px, py) => [(px - view.width / 2) / view.scale + view.x, (view.height / 2 - py) / view.scale + view.y];
+  const toScreen = (x, y) => [view.width / 2 + (x - view.x) * view.scale, view.height / 2 - (y - view.y) * view.scale];
+  const toWorld = (px, py) => [
+    view.x + (px - view.width / 2) / view.scale, view.y + (view.height / 2 - py) / view.scale,
+  ];
   const clampScale = scale => Math.min(Math.max(scale, LEAST_SCALE), MOST_SCALE);
 
   function show(other) {
@@ -583,8 +585,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   function drawLabel(text, px, py, colour = palette.ink) {
     pen.font = `13px ${palette.font}`;
-    const wide = pen.measureText(text).width + 12;
-    const x = Math.min(Math.max(px + 14, 4), view.width - wide - 4), y = Math.min(Math.max(py - 26, 14), view.height - 14);
+    const wide = pen.measureText(text).width + 12, x = Math.min(Math.max(px + 14, 4), view.width - wide - 4);
+    const y = Math.min(Math.max(py - 26, 14), view.height - 14);
     pen.fillStyle = palette.ground;
     pen.globalAlpha = 0.88;
     pen.beginPath();
@@ -597,9 +599,10 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   const eventPlace = {};
 
+  // A mark for each; words of the newest alone.
   function drawEvents(t) {
-    for (const event of history.events) {
-      if (event.time > t + 1e-9) continue;
+    const past = history.events.filter(event => event.time <= t + 1e-9);
+    for (const event of past) {
       placeAt(history.cars[event.car ?? view.chosen] ?? history.cars[0], event.time, eventPlace);
       const [px, py] = toScreen(eventPlace.x, eventPlace.y);
       if (px < -20 || py < -20 || px > view.width + 20 || py > view.height + 20) continue;
@@ -614,7 +617,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
       pen.closePath();
       pen.fill();
       pen.stroke();
-      if (t - event.time < 6) drawLabel(event.text, px, py);
+      if (event === past[past.length - 1] && t - event.time < 6) drawLabel(event.text, px, py);
     }
   }
 
@@ -648,7 +651,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
     if (view.follow) drawMoving(t); else drawStill(t);
     history.cars.forEach((car, k) => { if (places[k].index >= 0) drawLastPiece(car, places[k]); });
     drawEvents(t);
-    if (!previewed && clock.cursor !== null) history.cars.forEach((car, k) => drawCar(car, k, placeAt(car, clock.cursor, ghosts[k]), true));
+    if (!previewed && clock.cursor !== null)
+      history.cars.forEach((car, k) => drawCar(car, k, placeAt(car, clock.cursor, ghosts[k]), true));
     history.cars.forEach((car, k) => drawPredicted(car, k, places[k]));
     history.cars.forEach((car, k) => { if (k !== view.chosen) drawCar(car, k, places[k]); });
     if (followed) drawCar(history.cars[view.chosen], view.chosen, followed);
@@ -874,17 +878,19 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   // -- words
 
+  function describeCar(car, k) {
+    const at = name => valueAt(car, name, clock.shown), e = at(car.columns.error ? "error" : "offset");
+    const beside = `${Math.abs(e).toFixed(2)} m to the ${e > 0 ? "left" : "right"} of its line`;
+    const where = Math.abs(e) < 0.005 ? "on its line" : beside;
+    const s = car.columns.station ? ` at station ${Math.round(at("station"))} m` : "";
+    const speed = signed(at(car.columns.speed ? "speed" : "vx"), 1);
+    return `${car.name} is ${where}${s}, at ${speed} m/s.${places[k].failed ? " It has failed." : ""}`;
+  }
+
   function describe() {
-    const told = history.cars.map((car, k) => {
-      const at = name => valueAt(car, name, clock.shown), e = valueAt(car, car.columns.error ? "error" : "offset", clock.shown);
-      const side = Math.abs(e) < 0.005 ? "on its line" : `${Math.abs(e).toFixed(2)} m to the ${e > 0 ? "left" : "right"} of its line`;
-      const speed = at(car.columns.speed ? "speed" : "vx");
-      const s = car.columns.station ? ` at station ${Math.round(at("station"))} m` : "";
-      const failed = places[k]?.failed ? " It has failed." : "";
-      return `${car.name} is ${side}${s}, at ${signed(speed, 1)} m/s.${failed}`;
-    });
-    const what = view.whole ? "The whole road from above" : view.follow ? `The road about ${history.cars[view.chosen]?.name}` : "A part of the road";
-    return `${what}, at ${signed(clock.shown, 1)} s. ${told.join(" ")}`;
+    const part = view.follow ? `The road about ${history.cars[view.chosen]?.name}` : "A part of the road";
+    const what = view.whole ? "The whole road from above" : part;
+    return `${what}, at ${signed(clock.shown, 1)} s. ${history.cars.map(describeCar).join(" ")}`;
   }
 
   // -- start

@@ -1,5 +1,5 @@
-// A replay page: unpacks the JSON in #replay-data (see adaptrack/results/replay.py) into a history, and shows it with the
-// road view, the plots and the transport of adaptrack/export/page, which stand before this in the same scope.
+// A replay page: unpacks the JSON in #replay-data (see adaptrack/results/replay.py) into a history, and shows it with
+// the road view, the plots and the transport of adaptrack/export/page, which stand before this in the same scope.
 
 const root = document.getElementById("replay-view");
 const data = JSON.parse(document.getElementById("replay-data").textContent);
@@ -52,7 +52,8 @@ const history = {
 
 const clock = makeClock({start: firstTime(history), end: lastTime(history), period: data.period});
 const view = makeRoadView(part("canvas"), history, clock);
-const transport = makeTransport(part("transport"), clock, {keys: root, view, rates: RATES.filter(rate => rate < 20 || clock.end - clock.start > 300)});
+const rates = RATES.filter(rate => rate < 20 || clock.end - clock.start > 300);
+const transport = makeTransport(part("transport"), clock, {keys: root, view, rates});
 const plots = makePlots(part("plots"), history, clock, null, {span: 20});
 
 part("follow").onclick = view.followCar;
@@ -69,24 +70,29 @@ view.onview = () => {
 // ---- the words below the picture
 
 const degrees = angle => angle * 180 / Math.PI;
-let said = {};
 
 function words() {
   const car = history.cars[view.chosen], t = clock.shown, at = column => valueAt(car, column, t);
   const failed = view.place(view.chosen).failed, steering = at("wheel_angle");
   return {
-    t: `${signed(t, 2)} s${failed ? " failed" : ""}`, s: `${signed(at("station"), 1)} m`, e: `${signed(at("offset"), 3)} m`,
-    v: `${signed(at("speed"), 2)} m/s`, steering: `${signed(degrees(steering), 2)}° · ${signed(steering, 4)} rad`,
+    t: `${signed(t, 2)} s${failed ? " failed" : ""}`,
+    s: `${signed(at("station"), 1)} m`,
+    e: `${signed(at("offset"), 3)} m`,
+    v: `${signed(at("speed"), 2)} m/s`,
+    steering: `${signed(degrees(steering), 2)}° · ${signed(steering, 4)} rad`,
   };
 }
 
 function say() {
-  said = words();
+  const said = words();
   for (const name in said) write(part(name), said[name]);
   part("t").classList.toggle("failed", said.t.endsWith("failed"));
 }
 
-transport.words = () => `${said.t}, station ${said.s}, offset ${said.e}`;
+transport.words = () => {
+  const {t, s, e} = words();
+  return `${t}, station ${s}, offset ${e}`;
+};
 part("aloud").onclick = () => { part("spoken").textContent = `${view.describe()} ${plots.describe()}`; };
 
 // index.html#t=12.5 opens at 12.5 s.
@@ -100,11 +106,13 @@ addEventListener("hashchange", seekLink);
 seekLink();
 
 window.adaptrackReplay = {
-  seek: clock.seek, play: clock.play, pause: clock.pause, zoom: view.zoom, followCar: view.followCar, showWhole: view.showWhole,
-  start: clock.start, end: clock.end, clock, view, plots, history,
-  // What is shown: time (s), and each car's place (m, m/s, rad) with the pixel of the canvas (CSS px) of its centre of mass.
+  seek: clock.seek, play: clock.play, pause: clock.pause, start: clock.start, end: clock.end,
+  zoom: view.zoom, followCar: view.followCar, showWhole: view.showWhole, clock, view, plots, history,
+  // What is shown: time (s), and each car's place (m, m/s, rad) with the pixel of the canvas (CSS px) of its centre of
+  // mass.
   state() {
     view.draw();
+    transport.show();
     say();
     return {
       t: clock.t, playing: clock.playing, rate: clock.rate, follow: view.follow, whole: view.whole, scale: view.scale,
