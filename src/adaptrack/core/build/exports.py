@@ -46,8 +46,7 @@ class Exported:
     """How a target is exported.
 
     compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names;
-    kernels: those that are global; whole: a module,
-    made for speed, not an object.
+    kernels: those that are global; whole: a module, made for speed, not an object.
     """
 
     target: Target
