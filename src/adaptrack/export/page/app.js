@@ -91,10 +91,19 @@ const page = {
   on(name, f) { (listeners[name] ??= []).push(f); },
   tell(name, ...words) { for (const f of listeners[name] ?? []) f(...words); },
   notice(text) {
-    byId("notice").textContent = text;
+    byId("notice").textContent = shortened(text);
     byId("notice").hidden = !text;
   },
 };
+
+// As many sentences of a long message as one reads.
+const MOST_LETTERS = 300;
+function shortened(text) {
+  const lines = text.split("\n");
+  let kept = lines[0].length > MOST_LETTERS ? `${lines[0].slice(0, MOST_LETTERS)} ….` : lines[0], count = 1;
+  while (count < lines.length && kept.length + lines[count].length < MOST_LETTERS) kept += ` ${lines[count++]}`;
+  return count < lines.length ? `${kept} And ${lines.length - count} more.` : kept;
+}
 
 async function engineOfPage() {
   if (page.engine && !page.engine.dead) return page.engine;
@@ -119,24 +128,29 @@ function engineDied(why) {
 
 let asked = 0;
 async function start(setup, {playing = null, keepNotice = false} = {}) {
-  const number = ++asked, wasPlaying = page.clock.playing;
+  const number = ++asked, plays = playing ?? page.clock.playing, before = page.setup;
   if (!keepNotice) page.notice("");
-  let started;
   try {
-    const engine = await engineOfPage();
-    started = await engine.ask({type: "start", setup});
+    return await begun(setup, number, plays);
   } catch (error) {
     if (number !== asked) return null;
-    refused(error, setup);
+    // the engine has ended the drive that was; it begins anew, the first of the page where there was none
+    if (error instanceof Refusal) await begun(before ?? firstSetup(), number, plays).catch(() => {});
+    if (number === asked) refused(error, setup);
     throw error;
   }
-  if (number !== asked) return null;  // another one was chosen meanwhile
+}
+
+// Null where another drive was asked for meanwhile.
+async function begun(setup, number, plays) {
+  const engine = await engineOfPage(), started = await engine.ask({type: "start", setup});
+  if (number !== asked) return null;
   page.setup = setup;
   page.drive = beginDrive(started);
   page.clock.restart({start: 0, end: 0, period: started.period, limit: Math.min(started.duration ?? Infinity, LONGEST)});
   page.tell("setup");
   page.tell("started");
-  if (playing ?? wasPlaying) page.clock.play();
+  if (plays) page.clock.play();
   return started;
 }
 
@@ -305,15 +319,15 @@ function showScore() {
   const t = clock.t;
   const sentences = [];
   drive.history.cars.forEach((car, i) => {
-    const failed = car.failed !== null && t >= car.failed - 1e-9;
+    const failed = hasFailed(car, t);
     const last = errorBetween(car, t - WINDOW, t), whole = errorBetween(car, 0, t);
     const [number, unit] = asLength(last.rms);
     setText(byId(`who-drives-${i}`), nameOfCar(i));
     byId(`score-${i}`).classList.toggle("failed", failed);
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
-      ? `at ${car.failed.toFixed(1)} s; until then ${lengthText(whole.rms)}`
-      : `RMS error, last ${WINDOW} s · all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
+      ? `at ${car.failed.toFixed(1)} s\nRMS error until then ${lengthText(whole.rms)}`
+      : `RMS error, last ${WINDOW} s\nof all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
     if (failed) sentences.push(failureSentence(car, i));
   });
   const verdict = byId("verdict"), over = drive.over && t >= clock.limit - 1e-6;
@@ -322,6 +336,9 @@ function showScore() {
   verdict.hidden = !sentences.length;
   setText(verdict, sentences.join(" "));
 }
+
+// As the picture has it: from its last instant on.
+const hasFailed = (car, t) => car.failed !== null && t >= Math.min(car.failed, car.columns.time[car.count - 1]) - 1e-9;
 
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -350,7 +367,10 @@ function remedy(setup, controller, i) {
 
 // ---- pictures
 
-const PLOT_SETS = {few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], paper: ["path", "error", "steering"], all: null};
+const PLOT_SETS = {
+  few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], schedule: ["error", "horizons", "weights", "steering"],
+  paper: ["path", "error", "steering"], all: null,
+};
 let plotSet = "few";
 
 function showPictures() {
@@ -369,9 +389,11 @@ function showPictures() {
   page.view.followCar();
 }
 
-function choosePlots(name) {
-  plotSet = name;
+function choosePlots(wanted) {
+  const name = wanted === "paper" && !page.setup?.road.test ? "few" : wanted;
+  plotSet = wanted;
   byId("plot-choice").value = name;
+  byId("plot-choice").querySelector("[value=paper]").disabled = !page.setup?.road.test;
   page.plots?.choose(PLOT_SETS[name]);
 }
 
@@ -398,7 +420,7 @@ function showKey() {
 // ---- everything together
 
 const TRAIL = ["#2c7bb6", "#4b9ac0", "#7fbcc9", "#b9d8c4", "#e8e0a6", "#f5b866", "#e88047", "#d1422f"];
-let ticked = 0, begun = false, later = 0;
+let ticked = 0, ready = false, later = 0;
 
 function tick(now) {
   clearTimeout(later);
@@ -433,7 +455,7 @@ async function main() {
     page.notice(error instanceof Refusal ? byId("notice").textContent || error.message : `The page could not begin: ${error.message}`);
   }
   addEventListener("hashchange", followAddress);
-  begun = true;
+  ready = true;
 }
 
 async function followAddress() {
@@ -445,7 +467,7 @@ async function followAddress() {
 
 // For tests, and for who looks inside.
 window.adaptrackPage = {
-  get ready() { return begun; },
+  get ready() { return ready; },
   start: (setup, options) => start(setup, options),
   advance: advanceBy,
   change: (car, what, said) => change(car, what, said),

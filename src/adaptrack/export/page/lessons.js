@@ -49,6 +49,7 @@ const LESSONS = [
       car: {name: "paper"}, road: {test: "general-trajectory"}, speed: {constant: 15},
       controllers: [oneController("published", {tuning: tune(26, 5, 1, 2303.4294964410715)}), oneController("published-nn")],
     }),
+    plots: "schedule",
     act: () => { page.clock.setRate(Infinity); page.clock.play(); },
     done: () => page.drive?.over,
     after: "5.1 cm against 3.4 cm. The MPC that knows its car needs no schedule for 1.8 cm: try it as the second car.",
@@ -156,7 +157,7 @@ function showLesson(next) {
   byId("lesson-mark").classList.remove("done");
   if (next.open) byId(next.open).open = true;
   if (next.car !== undefined) chosenCar = next.car;
-  if (next.plots) choosePlots(next.plots);
+  choosePlots(next.plots ?? "few");
 }
 
 function tickLesson() {

@@ -136,7 +136,7 @@ function slide(slider, value) {
   page.setup = copyOf(setup);
   if (kind === "truth") tellTruth(name, value);
   if (kind === "belief") controllerNow().told = false;
-  showSlider(slider);
+  SLIDERS.filter(each => each.kind === kind).forEach(showSlider);
   byId(`touch-${slider.id}`).setAttribute("aria-valuetext", withUnit(slider, value));
   send({car: kind === "truth" ? null : chosenCar, what, said});
   if (kind === "truth") page.setup.controllers.forEach((_, i) => tellController(i, name));
