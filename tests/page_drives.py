@@ -63,6 +63,8 @@ SETUPS = {
     "laws": _setup(SEDAN, {"name": "country"}, {"lateral": 2.0}, "road", "pure-pursuit", "stanley", seed=4),
     "lqr": _setup({"name": "van"}, {"name": "town"}, {"lateral": 2.0}, "production", "lqr", "stanley"),
     "late samples": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "production", "informed", "learning", seed=9),
+    "unknown": _setup({"name": "van"}, {"name": "country"}, {"lateral": 2.5}, "production",
+                      {"kind": "learning", "knows": "sheet"}, {"kind": "informed", "knows": "sheet"}, seed=6),
     "first test": _setup(PAPER, {"test": "triple-lane-change"}, {}, "paper", "published", "published-nn"),
     "second test": _setup(PAPER, {"test": "general-trajectory"}, {}, "road", "informed", "published-anfis"),
     # begun from what a user gives

@@ -1,6 +1,16 @@
 """What is set up on the page, driven by Python: the same drives to the last bit.
 
-A setup is plain data: car, road, speed, profile, truth, seed, one or two controllers (see `page/engine.js`).
+A setup is plain data for JSON:
+
+    car          {name} of ours | {sheet: {mass, wheelbase, ...}} | {file: a car file as the page has read it}
+    road         {name} of `ROADS` | {points: [[x, y], ...], closed, name} | {test} of `TESTS`
+    speed        {constant: m/s} | {lateral: m/s^2}, planned; a test has its own
+    profile      name; what the controllers are made for
+    truth        {lag, dead_time, bias, noise, friction, wind}: where the world differs; noise: factor; null: it does not
+    seed         of the noise
+    controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}, knows: "sheet" or not}
+
+knows: "sheet": the controller knows mass and wheelbase of the car, no more.
 """
 
 from __future__ import annotations
@@ -62,7 +72,8 @@ def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
     drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
     found = []
     for each in setup["controllers"]:
-        batch = Batch(DualTrack(car), controller_of(each, car, profile), [drive], world)
+        known = at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if each.get("knows") == "sheet" else car
+        batch = Batch(DualTrack(car), controller_of(each, known, profile), [drive], world)
         found += rollouts(batch, (int(setup.get("seed", 0)),), threads=1)[0]
     return found
 

@@ -88,6 +88,13 @@ function carOfSheet(typed) {
   return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
+/** What a controller knows of a car: all of it, or, where it knows the sheet, its mass and wheelbase. */
+function carKnownTo(entry, car) {
+  if (entry?.knows !== "sheet") return car;
+  const { mass, lf, lr } = car.rows.car;
+  return carOfSheet({ mass, wheelbase: lf + lr });
+}
+
 function carOfFile(car) {
   const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
@@ -324,7 +331,8 @@ function controllerOf(entry, car, world, where) {
   const known = written.controllers[entry?.kind]?.[world.name];
   if (!known) throw new Refusal(where, `There is no controller of the kind “${entry?.kind}”: choose one of ${Object.keys(written.controllers).join(", ")}.`);
   if (known.refused) throw new Refusal(where, known.refused);
-  return known.common ? lawOf(entry, known, car, where) : mpcOf(entry, known, car, world, where);
+  const believed = carKnownTo(entry, car);
+  return known.common ? lawOf(entry, known, believed, where) : mpcOf(entry, known, believed, world, where);
 }
 
 function checkedTuning(tuning, where) {
