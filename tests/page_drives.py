@@ -1,7 +1,7 @@
 """Twenty drives of the page, and what Python drives with the same setups: for Node here, and for browsers.
 
-`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows there
-are, and the SHA-256 of these columns one behind the other, as little-endian float64 with every NaN as 0x7ff8000000000000.
+`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows they
+have, and the SHA-256 of these columns one behind the other: float64, little-endian, every NaN as 0x7ff8000000000000.
 """
 
 import functools

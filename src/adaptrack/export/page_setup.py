@@ -6,11 +6,10 @@ A setup is plain data for JSON:
     road         {name} of `ROADS` | {points: [[x, y], ...], closed, name} | {test} of `TESTS`
     speed        {constant: m/s} | {lateral: m/s^2}, planned; a test has its own
     profile      name; what the controllers are made for
-    truth        {lag, dead_time, bias, noise, friction, wind}: where the world differs; noise: factor; null: it does not
+    truth        {lag, dead_time, bias, noise, friction, wind} where the world differs, else null; noise: a factor
     seed         of the noise
-    controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}, knows: "sheet" or not}
-
-knows: "sheet": the controller knows mass and wheelbase of the car, no more.
+    controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}}; with knows: "sheet"
+                 one knows mass and wheelbase of the car, no more
 """
 
 from __future__ import annotations
