@@ -36,14 +36,15 @@ function load({ kernels, data }) {
 
 // -- a drive ----------------------------------------------------------------------------------------------------------
 function start({ id, setup }) {
-  end();
   const made = { setup, owned: [], cars: [], done: 0 };
   try {
     owning(made.owned, () => begin(made, setup));
-  } finally {
-    drive = made; // what there is of it
-    if (!made.begun) end();
+  } catch (error) { // the drive under way goes on
+    end(made);
+    throw error;
   }
+  end(drive);
+  drive = made;
   return [owning(made.owned, () => started(id, made))];
 }
 
@@ -56,7 +57,6 @@ function begin(made, setup) {
   const samples = samplesOf(setup, of, car, world);
   Object.assign(made, { world, car, of, samples, seed });
   asked.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
-  made.begun = true;
 }
 
 /** A car of its own with its controller, before its first instant. */
@@ -119,13 +119,12 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
 const linked = (name) => ({ function: name });
 const NO_ROAD = { of: [-1n] };
 
-function end() {
-  for (const own of drive?.cars ?? []) {
+function end(ended) {
+  for (const own of ended?.cars ?? []) {
     [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
     forget(own.made);
   }
-  if (drive) forget(drive.owned);
-  drive = null;
+  if (ended) forget(ended.owned);
 }
 
 function started(id, { world, of, samples, cars, car }) {
