@@ -5,15 +5,15 @@
 //   -> {type: "start", id, setup}                <- {type: "started", id, period, duration, laps, road, cars, plan}
 //   -> {type: "advance", id, periods}            <- {type: "frames", id, first, count, cars}
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
-//   -> {type: "read", id, what, text, name}      <- {type: "read", id, what, ...}; what: "car file", "csv", see inputs.js
+//   -> {type: "read", id, what, text, name}     <- {type: "read", id, what, ...}; what: "car file", "csv": see inputs.js
 //   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
 //   -> {type: "memory", id}                      <- {type: "memory", id, bytes, all}
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
 // A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
 // planned moves; a car whose drive has ended gives no more of them and says why. What is changed acts from the next
-// instant on; car: 0, 1, or null for all; friction, wind and ice are the road's, thus the same for all. The drive that a
-// new one replaces is forgotten; nothing that was posted is kept.
+// instant on; car: 0, 1, or null for all; friction, wind and ice are of the road, thus the same for all. The drive that
+// a new one replaces is forgotten; nothing that was posted is kept.
 "use strict";
 
 /** What a user can mend, in words; where: "car", "road", "speed", "profile", "truth", "controller 1", ... */
