@@ -10,6 +10,7 @@ import hashlib
 import numpy as np
 
 import adaptrack as at
+from adaptrack.export.page_data import page_car
 from adaptrack.export.page_setup import simulate_setup
 
 COLUMNS = {
@@ -19,11 +20,9 @@ COLUMNS = {
 }  # fmt: skip
 """Columns of frames, and what a `Trajectory` calls them."""
 SHEET = {"mass": 1480.0, "wheelbase": 2.68}
-VAN = {
-    "name": "mine", "description": "", "estimated": [], "tyre": {"name": "van"},
-    "numbers": {key: value for key, value in at.load_vehicle("van").model_dump().items() if isinstance(value, float)},
-    "steering": {"lag": 0.2, "dead_time": 0.08, "rate": 0.6, "limit": 0.55, "ratio": None},
-}  # fmt: skip
+VAN = page_car(
+    at.load_vehicle("van").replace(name="mine", steering=at.Steering(lag=0.2, dead_time=0.08, rate=0.6, limit=0.55))
+)
 """A car file as the page has read it."""
 
 

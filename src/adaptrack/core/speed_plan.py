@@ -14,6 +14,19 @@ SpeedPlan = record(
 
 
 @inlined
+def last_at(place, s):
+    """The last of ascending s[k] <= `place`; -1 before the first, and for NaN."""
+    low, high = -1, s.size
+    while high - low > 1:
+        middle = (low + high) // 2
+        if s[middle] <= place:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@inlined
 def cell_from(place, k, s):
     """The last of ascending places s[k] <= `place` < s[n - 1]: strides that double from k on, then halves."""
     step = 1
@@ -57,19 +70,14 @@ def motion_at(time, plan):
     inside = min(time - laps * plan.duration, plan.duration)
     if inside >= plan.time[last]:
         return s[last] + laps * s[last], speed[last]
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if plan.time[middle] <= inside:
-            low = middle
-        else:
-            high = middle
-    mean = 0.5 * (speed[low] + speed[low + 1])
-    moving = (s[low + 1] - s[low]) / mean if mean > 0.0 else math.inf
-    since = max(inside - (plan.time[low + 1] - moving), 0.0) if moving < math.inf else 0.0  # after standing there
-    since = min(since, moving)
-    gained = 0.5 * (square(speed[low + 1]) - square(speed[low])) / (s[low + 1] - s[low]) * since
-    return s[low] + (speed[low] + 0.5 * gained) * since + laps * s[last], max(speed[low] + gained, 0.0)
+    k = max(last_at(inside, plan.time), 0)
+    mean = 0.5 * (speed[k] + speed[k + 1])
+    if not mean > 0.0:
+        return s[k] + laps * s[last], 0.0
+    moving = (s[k + 1] - s[k]) / mean
+    since = min(max(inside - (plan.time[k + 1] - moving), 0.0), moving)  # after standing at k
+    gained = 0.5 * (square(speed[k + 1]) - square(speed[k])) / (s[k + 1] - s[k]) * since
+    return s[k] + (speed[k] + 0.5 * gained) * since + laps * s[last], max(speed[k] + gained, 0.0)
 
 
 @exported(void(SpeedPlan, vector, vector, vector))

@@ -12,10 +12,11 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
-from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
@@ -49,24 +50,6 @@ RECORDS = (
     plant.Body, plant.Outline,
 )  # fmt: skip
 """What the engine lays into memory."""
-CALLED = (
-    # a car, and a road with its speed and samples
-    "complete_car", "car_flaw", "static_loads", "overhangs", "outline_of", "path_words", "path_through", "path_parts",
-    "heading_count", "headings_along", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant",
-    "drive_periods", "drive_samples", "drive_start", "complete_samples",
-    # a world, and a controller
-    "plant_parameters", "plant_substeps", "plant_law", "dead_periods", "usual_filter", "informed_parts",
-    "informed_sizes", "informed_constants", "published_constants", "steering_delay", "pure_pursuit_parameters",
-    "stanley_parameters", "lqr_parameters",
-    # a drive
-    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
-)  # fmt: skip
-"""What the engine calls; what it links besides are members."""
-MEMBERS = (
-    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
-    *(f"dual_track_{tyre}_{what}" for tyre in ("linear", "magic", "curved") for what in ("advance", "observe")),
-)  # fmt: skip
-"""Functions whose addresses are in records."""
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
@@ -88,7 +71,7 @@ def page_data() -> dict[str, Any]:
     """All of it."""
     return _plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
-        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
+        "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
         "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
         "no_schedule": image(no_schedule()),
@@ -124,9 +107,8 @@ def _sizes() -> dict[str, int]:
     }  # fmt: skip
 
 
-def _car(name: str) -> dict[str, Any]:
+def page_car(made: Vehicle) -> dict[str, Any]:
     """A car as the page reads it from a file."""
-    made = load_vehicle(name)
     sections = ("steering", "body", "known_within", "domain")
     return {
         "name": made.name, "description": made.description,
@@ -207,7 +189,7 @@ def _words() -> dict[str, Any]:
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
                  "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
-                 "No speed can be planned on this road."],
+                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0."],
         "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
                   "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",

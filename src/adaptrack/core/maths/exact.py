@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
-from ..kernel import exported, float64, inlined, primitive
-from .bits import bits_of, left, negative, right, scaled
+from ..kernel import exported, float64, inlined, primitive, vector, void
+from .bits import bits_of, left, negative, right, scaled, to_odd, upper_half, usual_size
+from .vectors import WIDTH, load, store
 
 _FRACTION = 2**52 - 1
 _LIMB = 54  # bits of a digit of long numbers
@@ -159,8 +160,8 @@ def _moved_right(high, low, count):
 
 
 @exported(float64(float64, float64, float64))
-def soft_fma(a: float, b: float, c: float) -> float:
-    """a b + c, rounded once to the nearest, ties to even: what IEEE 754 (2008, section 5.4.1) asks of `fma`."""
+def whole_fma(a: float, b: float, c: float) -> float:
+    """`soft_fma` in whole numbers, for every argument."""
     product = a * b
     if product != product or abs(a) == math.inf or abs(b) == math.inf or a == 0.0 or b == 0.0 or c == 0.0:
         return product if c == 0.0 and a != 0.0 and b != 0.0 else product + c
@@ -205,6 +206,51 @@ def soft_fma(a: float, b: float, c: float) -> float:
     m = (m >> 2) + (1 if tail == 3 or (tail == 2 and (m >> 2) & 1 == 1) else 0)
     answer = scaled(float(m), min(unit + drop + 2, 1100))
     return -answer if minus else answer
+
+
+@inlined
+def _usual(a, b, c):
+    """Whether `_fused` holds: nothing is so large that it overflows, or so small that digits of a b underflow."""
+    return usual_size(a, b, c, a * b)
+
+
+@inlined
+def _fused(a, b, c):
+    """a b + c, rounded once, of floats or of eight at a time; where a number is none, NaN.
+
+    The product is p - low, and the sum of p and c is s - rest, all four exact (T. J. Dekker, A floating-point technique
+    for extending the available precision, 1971; D. E. Knuth, The Art of Computer Programming 2, section 4.2.2). What is
+    left, rest + low, is rounded to odd, so that taking it off s rounds as the exact difference does (S. Boldo and
+    G. Melquiond, Emulation of a FMA and correctly rounded sums, 2008): either `rest` is zero, or it and `low` are below
+    2^-51 s. Zeros of what is taken off are positive, so that s keeps its sign.
+    """
+    p = a * b
+    a1, b1 = upper_half(a), upper_half(b)
+    a0, b0 = a - a1, b - b1
+    low = (((p - a1 * b1) - a1 * b0) - a0 * b1) - a0 * b0
+    s = p + c
+    c1 = s - p
+    rest = ((s - c1) - p) + (c1 - c)
+    left_over = rest + low
+    low1 = left_over - rest
+    return s - to_odd(left_over, (rest - (left_over - low1)) + (low - low1))
+
+
+@exported(float64(float64, float64, float64))
+def soft_fma(a: float, b: float, c: float) -> float:
+    """a b + c, rounded once to the nearest, ties to even: what IEEE 754 (2008, section 5.4.1) asks of `fma`."""
+    return _fused(a, b, c) if _usual(a, b, c) else whole_fma(a, b, c)
+
+
+@exported(void(vector, vector, vector, vector))
+def soft_fma8(a, b, c, answer):
+    """`soft_fma` of eight numbers each."""
+    x, y, z = load(a, 0), load(b, 0), load(c, 0)
+    if _usual(x, y, z):
+        store(answer, 0, _fused(x, y, z))
+    else:
+        for i in range(WIDTH):
+            answer[i] = soft_fma(a[i], b[i], c[i])
 
 
 @exported(float64(float64))

@@ -8,6 +8,7 @@ from ..kernel import exported, inlined, int64, matrix, record, vector, void
 from ..maths.exact import floor
 from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, Centreline, point_at
+from ..speed_plan import last_at
 
 Along = record("Along", (("s", vector), ("value", vector), ("steps", int64)))
 """Values at ascending arc lengths (m): straight lines between them or, where steps is 1, each up to the next; constant
@@ -18,21 +19,8 @@ Route = record("Route", (("line", Centreline), ("friction", Along), ("bank", Alo
 
 
 @inlined
-def last_at(place, s):
-    """The last of ascending s[k] <= `place`; -1 before the first, and for NaN."""
-    low, high = -1, s.size
-    while high - low > 1:
-        middle = (low + high) // 2
-        if s[middle] <= place:
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-@inlined
 def between(place, k, s, value):
-    """The value at a place behind s[k] on a straight line to the next one; constant before the first and after the last."""
+    """The value at a place behind s[k], on a straight line to the next one; constant beyond the first and the last."""
     if k < 0:
         return value[0]
     if k >= s.size - 1:

@@ -48,7 +48,7 @@ def plan_places(start, spacing, stops, places):
     ascending. 0: the length or the spacing is no number to make places of.
     """
     length = start[start.size - 1]
-    if not (spacing >= FINEST and 0.0 < length < math.inf):
+    if not (FINEST <= spacing < math.inf and 0.0 < length < math.inf):
         return 0
     cells = max(2, whole(ceil(length / spacing)))
     step, before, count = length / cells, -math.inf, 0

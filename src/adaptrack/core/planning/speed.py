@@ -23,7 +23,8 @@ from ..maths.trigonometric import cos, sin
 from ..plants.forces import GRAVITY
 from ..plants.parameters import unpack
 from ..road import CLOSED
-from .along import Route, between, last_at
+from ..speed_plan import last_at
+from .along import Route, between
 from .cells import PLAN, write_cells
 from .cornering import BENDS, cornering_at, cornering_limits
 
@@ -61,10 +62,10 @@ LIMIT = columns(
     "brake", "brakes", "jerk",
 )  # fmt: skip
 """What bounds a planned speed."""
-PLANNED, CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES = range(7)
-"""What `fastest_speeds` answers: a plan; a bend too tight for the car; a bank that alone exceeds what is allowed; a
+PLANNED, CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES, NO_BOUNDS = range(8)
+"""What `plan_along_road` answers: a plan; a bend too tight for the car; a bank that alone exceeds what is allowed; a
 speed at the start, or at the end, above what is possible there; a start from which no car can brake in time; no road,
-or a spacing that makes no places of it."""
+or a spacing that makes no places of it; comfort that is no number above 0."""
 
 FLAT = 1e-9
 """1/m, a curvature that counts as none."""
@@ -443,12 +444,24 @@ def _write_cornering(planning):
         table[PLAN.cornering, k] = cornering_at(table[PLAN.curvature, k], tightest, limits)
 
 
+@inlined
+def _comfortable(bounds):
+    """Whether comfort is made of numbers above 0."""
+    along = bounds.accelerate > 0.0 and bounds.brake > 0.0
+    return along and bounds.lateral > 0.0 and bounds.lateral_jerk > 0.0 and bounds.grip_share > 0.0
+
+
 @exported(several(int64, int64, float64, float64)(Planning))
 def plan_along_road(planning):
-    """Write a whole plan, without a bound on the jerk along the road; what `fastest_speeds` answers, and the time (s)."""
+    """Write a whole plan, whatever its jerk along the road: whether it can be, and the time (s).
+
+    The answer is that of `fastest_speeds`, or why there is nothing to plan.
+    """
     _, places = planning.table.shape
     if places < 2:
         return NO_PLACES, 0, 0.0, 0.0
+    if not _comfortable(planning.bounds):
+        return NO_BOUNDS, 0, 0.0, 0.0
     plan_cells(planning)
     if planning.car.size > 0:
         _write_cornering(planning)

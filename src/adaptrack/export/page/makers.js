@@ -88,7 +88,16 @@ function carOfSheet(typed) {
   return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
-function carOfFile(car) {
+/** A car with all its sections: what a link leaves out is as in a car file that does not say it. */
+function complete(car) {
+  const { sections, tyres } = written.inputs, tyre = car.tyre?.name ?? sections[""].find(({ key }) => key === "tyre").default;
+  const domain = Object.fromEntries(sections.domain.map((each) => [each.key, car.domain?.[each.key] ?? each.default]));
+  if (!car.tyre?.numbers && !tyres[tyre]) throw new Refusal("car", `There is no tyre named “${tyre}”: choose one of ${Object.keys(tyres).join(", ")}.`);
+  return { body: {}, steering: {}, known_within: null, numbers: {}, ...car, domain, tyre: { name: tyre, numbers: car.tyre?.numbers ?? tyres[tyre] } };
+}
+
+function carOfFile(given) {
+  const car = complete(given);
   const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
   const [flaw, ratio] = memory.call("car_flaw", row);
@@ -288,7 +297,7 @@ function samplesOf(setup, of, car, world) {
   const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
   const laps = of.closed ? Math.max(1, Math.floor(AN_HOUR / plan.duration)) : 1;
   const periods = memory.call("drive_periods", plan.duration, laps, period);
-  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods: 1 to ${MOST_SAMPLES} are possible.`);
+  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods; 1 to ${MOST_SAMPLES} are possible: drive faster, or take another road.`);
   const route = { ...plan.route, friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)) };
   const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
   const drive = mine(memory.make("planning.drive.RoadDrive", {

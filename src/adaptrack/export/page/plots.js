@@ -13,8 +13,9 @@
 //     draw()                 now, all of them
 //
 //   spec = {name, title, unit, digits, scale (factor to the unit), least (smallest span of the axis), log, around0,
-//           lines: [{column, or, label, step, once}],   of each car, or of the first (once); a second car has its own
-//                                                 colour and dashes; or: the column where there is no such one
+//           lines: [{column, or, label, step, once, ink}],   of each car, or of the first (once); a second car has its
+//                                                 own colour and dashes; or: the column where there is no such one;
+//                                                 ink: a truth. A car without the first of them has no line
 //           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
 //           band: {column, sigma, k, ratio},      value +- k sigma, or times exp(+-k sigma) (ratio)
 //           truth: name,                          in history.truth
@@ -26,6 +27,8 @@
 //   A plot is a slider of time: arrows, page up/down, home, end move the cursor, Enter and a click seek, Escape leaves.
 
 const DEGREES = 180 / Math.PI;
+
+const ROAD_FRICTION = {column: "friction", label: "of the road", once: true, ink: true};
 
 const PLOTS = [
   {
@@ -59,7 +62,8 @@ const PLOTS = [
     ["stiffness", "Believed stiffness", "", 2, 0.2, true], ["bias", "Believed steering bias", "rad", 4, 0.01, false],
     ["friction", "Believed friction", "", 2, 0.2, true],
   ].map(([name, title, unit, digits, least, ratio]) => ({
-    name, title, unit, digits, least, truth: `belief_${name}`, lines: [{column: `belief_${name}`, label: "belief"}],
+    name, title, unit, digits, least, truth: `belief_${name}`,
+    lines: [{column: `belief_${name}`, label: "belief"}, ...(name === "friction" ? [ROAD_FRICTION] : [])],
     band: {column: `belief_${name}`, sigma: `belief_${name}_sigma`, k: 2, ratio},
   })),
   {
@@ -80,7 +84,7 @@ const columnOf = (car, line) => car.columns[line.column] ? line.column : car.col
 
 // Those of the specs, by name or all, that the drive has something for.
 function specsFor(history, specs = PLOTS, names = null) {
-  const drawn = (spec, car) => spec.kind === "moves" ? car.plans?.width : spec.lines.some(line => columnOf(car, line));
+  const drawn = (spec, car) => spec.kind === "moves" ? car.plans?.width : columnOf(car, spec.lines[0]);
   const has = spec => history.cars.some(car => drawn(spec, car));
   return specs.filter(spec => has(spec) && (names ? names.includes(spec.name) : !spec.asked));
 }
@@ -150,6 +154,9 @@ function tickText(value, step) {
 
 // ---- one plot
 
+const TRUTH = [4, 2];
+const cssOf = line => line.colour === "ink" ? "var(--ink)" : `var(--series-${line.colour})`;
+const colourOf = line => line.colour === "ink" ? palette.ink : palette.series[line.colour];
 const DASHES = [[[], [2, 3], [8, 3, 2, 3]], [[7, 4], [7, 3, 1, 3], [3, 3]]];  // of a car, of its lines
 const MARGIN = {left: 46, right: 10, top: 8, bottom: 20};
 const points = new Int32Array(1 << 16);  // of the line that is being drawn
@@ -212,15 +219,16 @@ function write(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-// The lines of all cars: {car, k, column, label, name (in full), dash, step}.
+// The lines of all cars: {car, k, column, label, name (in full), colour, dash, step}.
 function linesOf(spec, history) {
   const several = history.cars.length > 1, alone = spec.lines.length === 1;
+  const shown = history.cars.filter(car => columnOf(car, spec.lines[0]));
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
-    if (!column || line.once && k) return [];
-    const label = several && alone ? car.name : line.label;
-    const name = several && !alone ? `${car.name}, ${line.label}` : label;
-    return [{car, k, column, label, name, step: line.step, dash: dashOf(k, j)}];
+    if (!column || !shown.includes(car) || line.once && car !== shown[0]) return [];
+    const label = several && alone ? car.name : line.label, colour = line.ink ? "ink" : k % 6;
+    const name = several && !alone && !line.once ? `${car.name}, ${line.label}` : label;
+    return [{car, k, column, label, name, colour, step: line.step, dash: line.ink ? TRUTH : dashOf(k, j)}];
   }));
 }
 
@@ -229,9 +237,9 @@ function makeTimePlot(spec, history, clock, window_) {
   const limits = (typeof spec.limits === "function" ? spec.limits(history) : spec.limits) ?? [];
   const lines = linesOf(spec, history);
   const rows = history.cars.map((_, k) => lines.some(line => line.k === k) ? frame.row(k) : null);
-  const values = lines.map(line => frame.entry(rows[line.k], `var(--series-${line.k % 6})`, line.dash, line.label));
+  const values = lines.map(line => frame.entry(rows[line.k], cssOf(line), line.dash, line.label));
   const truthRow = spec.truth && (rows.length > 1 ? frame.row(-1) : rows[0]);
-  const truthValue = spec.truth ? frame.entry(truthRow, "var(--ink)", [4, 2], "true", 1.6) : null;
+  const truthValue = spec.truth ? frame.entry(truthRow, "var(--ink)", TRUTH, "true", 1.6) : null;
   const plot = {
     name: spec.name, spec, frame, figure, canvas, lines, axis, values, from: 0, to: 1, drawnAt: -1, stale: true,
     toPixel, toValue, decimated, describe, paintStill, paint, tell, resize: frame.resize,
@@ -393,7 +401,7 @@ function makeTimePlot(spec, history, clock, window_) {
   function drawTruth(pen) {
     pen.strokeStyle = palette.ink;
     pen.lineWidth = 1.6;
-    pen.setLineDash([4, 2]);
+    pen.setLineDash(TRUTH);
     pen.beginPath();
     let before = NaN;
     eachTruth((time, value) => {
@@ -412,7 +420,7 @@ function makeTimePlot(spec, history, clock, window_) {
     const [wide, high] = frame.inside, perSecond = wide / (plot.to - plot.from);
     const x0 = MARGIN.left - plot.from * perSecond;
     let oldY = 0;
-    pen.strokeStyle = palette.series[line.k % 6];
+    pen.strokeStyle = colourOf(line);
     pen.lineWidth = 1.8;
     pen.lineJoin = "round";
     pen.setLineDash(line.dash);
@@ -475,7 +483,7 @@ function makeTimePlot(spec, history, clock, window_) {
       const value = valueAt(line.car, line.column, t, line.step) * scale;
       const [x, y] = toPixel(Math.min(t, line.car.count ? line.car.columns.time[line.car.count - 1] : t), value);
       if (!Number.isFinite(y) || x < MARGIN.left - 1 || x > frame.width - MARGIN.right + 2) continue;
-      pen.fillStyle = palette.series[line.k % 6];
+      pen.fillStyle = colourOf(line);
       pen.strokeStyle = palette.ground;
       pen.lineWidth = 1.5;
       pen.beginPath();
@@ -722,21 +730,23 @@ function listenTo(plot, clock, timeAt) {
 // ---- all plots
 
 const SPANS = [10, 20, 30, 60, 90, 120, 180, 300, 600, 900, 1200, 1800, 2700, 3600, 5400, 7200, 14400];
-const BUDGET = 5, TELL = 120;  // ms: of drawing lines anew in a frame; between two changes of words while it plays
-const SLOW = 20, REST = 150;  // ms: where frames take longer than SLOW, a plot's lines rest so long
+const STEPS = 300;  // of a window: what moves by less is not drawn anew while it plays
+const TELL = 120;  // ms between two changes of the words while it plays
+const AT_ONCE = 4, AT_ONCE_SLOW = 2, SLOW = 20;  // plots drawn anew in a frame; where frames take longer than SLOW ms
 
 function makePlots(box, history, clock, specs = null, options = {}) {
   const plots = {list: [], show, setSpan, choose, describe, draw, span: options.span ?? 20};
-  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, version = -1, seen = null, before = 0, pace = 0;
+  let chosen = null, from = 0, toldAt = -Infinity, told = NaN, painted = NaN, seen = null, before = 0, pace = 0;
   box.classList.add("plots");
 
   // The window: of so many seconds about the clock, moved only when the clock comes to its edge.
   function windowNow() {
     const start = clock.start, end = Math.max(clock.end, start + 1e-3);
-    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each >= (end - start) * 1.001) : end];
-    const span = clock.live ? plots.span : Math.min(plots.span, end - start);
+    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each > end - start) : end];
+    const span = clock.live ? plots.span : Math.min(plots.span, end - start), step = span / STEPS;
     if (clock.t > from + 0.96 * span) from = clock.t - 0.96 * span;
     if (clock.t < from) from = clock.t - 0.04 * span;
+    from = start + Math.ceil((from - start) / step - 1e-6) * step;
     from = Math.max(start, clock.live ? from : Math.min(from, end - span));
     return [from, from + span];
   }
@@ -753,7 +763,6 @@ function makePlots(box, history, clock, specs = null, options = {}) {
 
   function setSpan(seconds) {
     plots.span = seconds;
-    version = -1;
     clock.ask();
   }
 
@@ -776,31 +785,27 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   });
 
   // What the lines depend on: as long as none of it changes they are not drawn again.
-  function state() {
-    const [left, right] = windowNow();
-    return [left, right, clock.end, palette.version, history.events.length, truths(), plots.span];
+  function state([left, right]) {
+    const step = clock.playing ? (right - left) / STEPS : 1e-9, known = Math.floor(Math.min(clock.end, right) / step);
+    const truths = Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
+    return [left, right, known, palette.version, history.events.length, truths];
   }
 
-  const truths = () => Object.values(history.truth ?? {}).reduce((n, each) => n + each.length, 0);
-
   function paint(now) {
-    const next = state();
-    if (!seen || version !== palette.version || next.some((each, i) => each !== seen[i])) {
-      seen = next;
-      version = palette.version;
-      for (const plot of plots.list) plot.stale = true;
-    }
+    const ends = windowNow(), next = state(ends);
+    if (!seen || next.some((each, i) => each !== seen[i])) for (const plot of plots.list) plot.stale = true;
+    seen = next;
     pace += 0.1 * (Math.min(now - before, 100) - pace);
     before = now;
-    const rest = clock.playing && pace > SLOW ? REST : 0, begun = performance.now();
-    const waiting = plots.list.filter(plot => plot.stale && now - plot.drawnAt >= rest);
-    waiting.sort((a, b) => a.drawnAt - b.drawnAt);
-    for (const plot of waiting) {
-      if (performance.now() - begun > BUDGET) break;
+    const drawn = plots.list.filter(plot => plot.stale).sort((a, b) => a.drawnAt - b.drawnAt);
+    drawn.length = Math.min(drawn.length, clock.playing && pace > SLOW ? AT_ONCE_SLOW : AT_ONCE);
+    for (const plot of drawn) {
       plot.paintStill(now);
       plot.stale = false;
     }
-    for (const plot of plots.list) plot.paint();
+    const moved = !clock.playing || !(Math.abs(clock.t - painted) < 0.5 * (ends[1] - ends[0]) / STEPS);
+    if (moved) painted = clock.t;
+    for (const plot of moved ? plots.list : drawn) plot.paint();
     if (plots.list.some(plot => plot.stale)) clock.ask();
     if (clock.shown !== told && (!clock.playing || now - toldAt > TELL)) tell(now);
   }
@@ -825,7 +830,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
     return plots.list.map(plot => plot.describe()).join(" ");
   }
 
-  onPaletteChange(() => { version = -1; clock.ask(); });
+  onPaletteChange(clock.ask);
   build();
   clock.paint(paint);
   return plots;

@@ -120,7 +120,7 @@ function makeClock({start = 0, end = 0, period = 0.05, live = false} = {}) {
 
 // ---- controls
 
-const rateName = rate => rate === Infinity ? "as fast as it can" : `×${rate}`;
+const rateName = rate => rate === Infinity ? "fastest" : `×${rate}`;
 
 function makeButton(part, text, label, action) {
   const button = document.createElement("button");

@@ -599,9 +599,10 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   const eventPlace = {};
 
+  // A mark for each; words of the newest alone.
   function drawEvents(t) {
-    for (const event of history.events) {
-      if (event.time > t + 1e-9) continue;
+    const past = history.events.filter(event => event.time <= t + 1e-9);
+    for (const event of past) {
       placeAt(history.cars[event.car ?? view.chosen] ?? history.cars[0], event.time, eventPlace);
       const [px, py] = toScreen(eventPlace.x, eventPlace.y);
       if (px < -20 || py < -20 || px > view.width + 20 || py > view.height + 20) continue;
@@ -616,7 +617,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
       pen.closePath();
       pen.fill();
       pen.stroke();
-      if (t - event.time < 6) drawLabel(event.text, px, py);
+      if (event === past[past.length - 1] && t - event.time < 6) drawLabel(event.text, px, py);
     }
   }
 

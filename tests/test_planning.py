@@ -1,0 +1,275 @@
+"""The kernels that make a drive of a road: the same plan and samples from anywhere, and true ones."""
+
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import GRAVITY, list_vehicles, load_vehicle
+from adaptrack.control.controllers import MPC
+from adaptrack.core import path
+from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.loop import SIGNAL
+from adaptrack.core.planning import speed as kernel
+from adaptrack.core.planning.along import Along, Route
+from adaptrack.core.planning.cells import PLAN, plan_places
+from adaptrack.core.planning.drive import RoadDrive as Drive
+from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
+from adaptrack.core.speed_plan import SpeedPlan
+from adaptrack.drive.world import World
+from adaptrack.road import Along as PythonAlong
+from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
+from adaptrack.road.cornering import cornering_limit, packed
+from adaptrack.road.road import DRY
+from adaptrack.road.speed import SPEED, constant_speed
+from adaptrack.scenario import RoadDrive, load_scenario
+
+pytestmark = pytest.mark.kernels
+CAR = load_vehicle("midsize-sedan")
+TURNS = np.linspace(0.0, 2.0 * math.pi, 14, endpoint=False)
+OVAL = np.stack([90.0 * np.cos(TURNS), 50.0 * np.sin(TURNS)], axis=-1)
+BENDS = np.stack([60.0 * np.linspace(0.0, 5.0, 24), 25.0 * np.sin(np.linspace(0.0, 5.0, 24))], axis=-1)
+NONE, NOWHERE = np.zeros(0), Along(np.zeros(0), np.zeros(0), 0)
+BOUNDS = kernel.Bounds(3.0, 2.0, 3.0, math.inf, 10.0, 0.9, math.nan, math.nan, math.nan, 27.0, 100.0, math.nan, 1.0)
+
+
+def constant(value):
+    return Along(np.zeros(1), np.array([value]), 0)
+
+
+def line_through(points, closed):
+    memory = np.zeros(path.path_words(points, closed))
+    status, _ = path.path_through(points, closed, memory)
+    assert status == path.OK
+    return path.line_in(memory)[0]
+
+
+def to_plan(line, car=None, friction=0.9, bounds=BOUNDS, **along):
+    """A plan to be made as another program has it: no road but its pieces, no car but its numbers."""
+    route = Route(line, constant(friction), constant(along.get("bank", 0.0)), NOWHERE)
+    table = np.full((len(PLAN), plan_places(line.start, bounds.spacing, NONE, NONE)), np.nan)
+    plant = NONE if car is None else packed(car)
+    return kernel.Planning(route, bounds, plant, NONE, NONE, NONE, np.zeros((0, 0)), table)
+
+
+def planned(planning):
+    status, _, _, duration = kernel.plan_along_road(planning)
+    assert status == kernel.PLANNED
+    rows = (planning.table[row] for row in (PLAN.s, PLAN.speed, PLAN.time))
+    return SpeedPlan(*rows, duration, int(planning.route.line.numbers[1]))
+
+
+# -- the same from anywhere -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("car", [None, CAR])
+@pytest.mark.parametrize(("points", "closed"), [(OVAL, True), (BENDS, False)])
+def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_the_bit(points, closed, car):
+    bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
+    planning = to_plan(line_through(points, closed), car, friction=DRY.value[0], bounds=bounds)
+    plan, road = planned(planning), road_through(points, closed=closed)
+    known = plan_speed(road, car)
+    np.testing.assert_array_equal(planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [known.s, known.speed, known.time])
+    np.testing.assert_array_equal(planning.table[PLAN.binding, :-1], known.binding)
+    assert plan.duration == known.duration
+
+    drive, laps = RoadDrive(road, known, laps=2 if closed else 1, reference=0.4, wind=[1.0, -3.0]), 2 if closed else 1
+    world = World.of(DualTrack(CAR), MPC(CAR, period=0.05), "paper", None, None, None)
+    wanted = world.samples(drive.sample(0.05), 0)
+    count = drive_periods(plan.duration, laps, 0.05)
+    samples, pose = np.full((len(SIGNAL), count + 1), np.nan), np.zeros(3)
+    one = Drive(planning.route, plan, 0.05, np.array([0.4]), np.array([1.0]), np.array([-3.0]))
+    drive_samples(one, samples)
+    np.testing.assert_array_equal(samples, wanted)
+    drive_start(planning.route.line, 0.4, 0.0, pose)
+    assert tuple(pose) == drive.start_pose()
+
+
+def test_one_speed_is_kept_all_along():
+    planning = to_plan(line_through(OVAL, True))
+    known = constant_speed(road_through(OVAL, closed=True), 11.0)
+    assert kernel.plan_constant(11.0, planning) == known.duration == pytest.approx(known.s[-1] / 11.0)
+    assert (planning.table[PLAN.speed] == 11.0).all()
+
+
+@pytest.mark.skipif(INTERPRETED, reason="compares with compiled kernels")
+def test_interpreted_kernels_plan_as_compiled_ones():
+    script = (
+        "import json; from adaptrack.road import generate_road, plan_speed; from adaptrack.cars.vehicle import "
+        "load_vehicle; p = plan_speed(generate_road('mountain', 4, 300.0), load_vehicle('midsize-sedan')); "
+        "print(json.dumps([p.speed.tolist(), p.time.tolist(), p.binding.tolist()]))"
+    )
+    environment = {**os.environ, "ADAPTRACK_KERNELS": "interpreted"}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True, timeout=120
+    )
+    speed, time, binding = json.loads(done.stdout)
+    plan = plan_speed(generate_road("mountain", 4, 300.0), CAR)
+    np.testing.assert_allclose(plan.speed, speed, rtol=1e-12)
+    np.testing.assert_allclose(plan.time, time, rtol=1e-12)
+    np.testing.assert_array_equal(plan.binding, binding)
+
+
+# -- true speeds ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("friction", "bank"), [(0.9, 0.0), (0.25, 0.0), (0.9, 0.05)])
+def test_a_circle_is_driven_at_the_root_of_what_is_felt_times_the_radius(friction, bank):
+    road = Road.from_segments([Arc(length=80.0 * math.pi, curvature=1.0 / 40.0)], closed=True)
+    planning = to_plan(road.packed(), friction=friction, bank=bank)
+    plan = planned(planning)
+    felt = min(3.0, 0.9 * friction * GRAVITY * math.cos(bank)) + GRAVITY * math.sin(bank)
+    np.testing.assert_allclose(plan.speed**2, 40.0 * felt, rtol=1e-12)
+
+
+def test_a_straight_road_is_driven_at_the_top_speed():
+    line = Road.from_segments([Line(length=900.0)]).packed()
+    for top, speed in ((math.nan, 27.0), (41.0, 41.0)):
+        assert (planned(to_plan(line, bounds=BOUNDS._replace(top_speed=top))).speed == speed).all()
+
+
+@pytest.mark.parametrize("name", list_vehicles())
+def test_nowhere_is_more_asked_of_tyres_engine_and_brakes_than_they_have(name):
+    # at both ends of every cell, with the car's own numbers and the formulas of the textbook
+    car, road = load_vehicle(name), generate_road("mountain", seed=5, length=700.0)
+    comfort = Comfort(lateral=20.0, accelerate=20.0, brake=20.0, lateral_jerk=math.inf)
+    plan = plan_speed(road, car, comfort, start=2.0, top_speed=60.0)
+    first, last = road.table.at(plan.s[:-1], 1).curvature, road.table.at(plan.s[1:], -1).curvature
+    bend = np.maximum(np.abs(first), np.abs(last))
+    grip = 0.9 * np.minimum(0.9 * GRAVITY, cornering_limit(car, bend, np.full(bend.shape, 0.9)))
+    along = plan.acceleration
+    for v in (plan.speed[:-1], plan.speed[1:]):
+        slowed = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2 / car.mass
+        slowed += car.rolling_resistance * GRAVITY
+        tyres = np.where(along >= 0.0, along + slowed, np.maximum(-along, 0.0))
+        carried = 1.0 - tyres * car.cg_height / (GRAVITY * np.where(along >= 0.0, car.lr, car.lf))
+        used = np.hypot(tyres, v**2 * bend / carried) / grip
+        gains = along > 1e-9
+        assert used[gains].max() < 1.0 + 1e-6
+        assert used[along < -1e-9].max(initial=0.0) < 1.0 + 1e-6
+        force = car.mass * (along + slowed)[gains]
+        assert (force <= np.minimum(car.traction_limit, car.engine_power / np.maximum(v[gains], 1e-3)) + 1e-6).all()
+        assert (-along <= car.brake_limit / car.mass + slowed + 1e-9).all()
+
+
+def test_a_lap_is_periodic_and_no_other_lap_is_faster():
+    line = line_through(OVAL, True)
+    plan = planned(to_plan(line, CAR))
+    assert plan.speed[0] == plan.speed[-1]
+    # the same line with its seam elsewhere: the same speeds
+    turned = planned(to_plan(line_through(np.roll(OVAL, 5, axis=0).copy(), True), CAR))
+    assert turned.duration == pytest.approx(plan.duration, rel=2e-3)
+    assert turned.speed.min() == pytest.approx(plan.speed.min(), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "value"),
+    [
+        ({"bank": 0.4}, kernel.TOO_STEEP, 3.0),
+        ({"bounds": {"start": 90.0}}, kernel.START_TOO_FAST, 27.0),
+        ({"bounds": {"end": 90.0}}, kernel.END_TOO_FAST, 27.0),
+        ({"bounds": {"start": 20.0, "end": 0.0}}, kernel.CANNOT_BRAKE, math.sqrt(2.0 * 3.0 * 50.0)),
+        ({"bounds": {"lateral": math.nan}}, kernel.NO_BOUNDS, 0.0),
+    ],
+)
+def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value):
+    line = Road.from_segments([Line(length=50.0)]).packed()
+    bounds = BOUNDS._replace(**changes.get("bounds", {}))
+    found = kernel.plan_along_road(to_plan(line, bounds=bounds, bank=changes.get("bank", 0.0)))
+    assert found[0] == status
+    assert found[2] == pytest.approx(value)
+
+
+@pytest.mark.parametrize("spacing", [0.0, -1.0, math.nan, math.inf])
+def test_a_spacing_that_makes_no_places_is_a_status(spacing):
+    line = line_through(BENDS, False)
+    planning = to_plan(line, bounds=BOUNDS._replace(spacing=spacing))
+    assert planning.table.shape[1] == 0
+    assert kernel.plan_along_road(planning)[0] == kernel.NO_PLACES
+
+
+# -- places -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("spacing", [0.03, 1.0, 7.3, 1e3])
+def test_places_are_even_where_the_shape_changes_and_where_to_stop(spacing):
+    road, stops = generate_road("mountain", seed=2, length=300.0), np.array([0.0, 0.1, 77.7, 77.7, 300.0 / 7.0 + 100.0])
+    stops[-1] = road.length
+    count = plan_places(road.table.start, spacing, stops, NONE)
+    places = np.full(count, np.nan)
+    assert plan_places(road.table.start, spacing, stops, places) == count
+    assert np.isin(stops, places).all()
+    assert (places[0], places[-1]) == (0.0, road.length)
+    assert (np.diff(places) > 0.0).all()
+    assert np.diff(places).max() <= spacing * (1.0 + 1e-12)
+    nearest = np.abs(places[:, None] - road.table.start).min(axis=0)
+    assert nearest.max() <= 1e-6 * spacing
+
+
+# -- along a road -----------------------------------------------------------------------------------------------------
+def test_what_lies_along_a_road_is_read_as_it_is_written():
+    s, value = (0.0, 10.0, 10.5, 40.0), (1.0, 3.0, 2.0, 5.0)
+    linear, steps = PythonAlong(s=s, value=value), PythonAlong(s=s, value=value, kind="steps")
+    at = np.array([-5.0, 0.0, 4.0, 10.0, 10.25, 39.9, 40.0, 99.0])
+    np.testing.assert_array_equal(linear.at(at), np.interp(at, s, value))
+    np.testing.assert_array_equal(steps.at(at), [1.0, 1.0, 1.0, 3.0, 3.0, 2.0, 5.0, 5.0])
+    assert linear.at(4.0).shape == ()
+    fine = np.linspace(-5.0, 50.0, 5501)
+    for one, other in itertools.combinations(at.tolist(), 2):
+        inside = fine[(fine >= one) & (fine <= other)]
+        for along in (linear, steps):
+            assert along.least(one, other)[0] == pytest.approx(along.at(inside).min(), abs=1e-9)
+
+
+def test_the_edges_of_a_road_are_its_widths_away_from_it():
+    road = generate_road("mountain", seed=1, length=200.0, width_left=([0.0, 200.0], [1.0, 3.0]), width_right=2.0)
+    s = np.linspace(0.0, road.length, 41)
+    left, right = road.edges(s.reshape(1, 41))
+    assert left.shape == right.shape == (1, 41, 2)
+    for edge, width, side in ((left, road.along("width_left", s), 1.0), (right, np.full(41, 2.0), -1.0)):
+        feet = road.project(*edge[0].T, near=s)
+        np.testing.assert_allclose(feet.offset, side * width, atol=1e-9)
+        np.testing.assert_allclose(feet.s, s, atol=1e-6)
+
+
+# -- in time ----------------------------------------------------------------------------------------------------------
+def test_a_plan_in_time_is_at_its_places_when_it_says_and_stands_at_stops():
+    road = generate_road("lap", seed=1, length=600.0)
+    plan = plan_speed(road, CAR, stops=[Stop(50.0, 3.0), Stop(400.0, 2.0), Stop(50.0, 1.0)])
+    for lap in (0, 1, 7):
+        s, v = plan.motion(plan.time + lap * plan.duration)
+        np.testing.assert_allclose(s - lap * road.length, plan.s, atol=1e-6)
+        np.testing.assert_allclose(v, plan.speed, atol=1e-6)
+    arrival = float(plan.time[np.searchsorted(plan.s, 50.0)])
+    s, v = plan.motion(arrival + np.array([0.5, 2.0, 3.999]))
+    np.testing.assert_allclose(s, 50.0, atol=1e-12)
+    assert (v == 0.0).all()
+    assert plan.motion(arrival + 4.5)[1] > 0.0
+    t = np.linspace(0.0, 2.0 * plan.duration, 4001)
+    middle = plan.motion(0.5 * (t[1:] + t[:-1]))[1]
+    np.testing.assert_allclose(np.diff(plan.motion(t)[0]) / np.diff(t), middle, atol=0.06)  # the speed is its rate
+
+
+def test_samples_of_a_scenario_hold_what_follows_from_them():
+    world = World.of(DualTrack(CAR), MPC(CAR, period=0.05), "paper", None, None, None)
+    signals = load_scenario("triple-lane-change").sample(0.05)
+    rows = world.samples(signals, 0)
+    np.testing.assert_array_equal(rows[SIGNAL.y_ref], signals.y_ref)
+    np.testing.assert_array_equal(rows[SIGNAL.known_friction], signals.friction.mean(axis=1))
+    np.testing.assert_array_equal(rows[SIGNAL.known_wind], signals.wind[:, 1])
+    ahead = np.array([np.abs(signals.y_ref[k : k + 61] - signals.y_ref[k]).max() for k in range(signals.n + 1)])
+    inside = slice(0, signals.n - 60)
+    np.testing.assert_array_equal(rows[SIGNAL.change, inside], ahead[inside])
+
+
+def test_a_bank_pulls_and_a_bend_is_acceleration_ahead():
+    rows = np.zeros((len(SIGNAL), 5))
+    rows[SIGNAL.speed], rows[SIGNAL.bank], rows[SIGNAL.acceleration] = 20.0, -0.1, -0.01
+    complete_samples(0.1, rows)
+    np.testing.assert_allclose(rows[SIGNAL.bank], -GRAVITY * math.sin(0.1), rtol=1e-15)
+    np.testing.assert_array_equal(rows[SIGNAL.acceleration], 4.0)
+    np.testing.assert_array_equal(rows[SIGNAL.change], 0.0)
+
+
+def test_a_top_speed_beyond_that_of_any_car_counts_as_no_limit():
+    assert BOUNDS.no_limit == SPEED.most
