@@ -67,7 +67,7 @@ async function makeEngine(died) {
     die(event.message || "the simulation stopped");
   };
   return {
-    data, end,
+    data, end, die,
     get dead() { return over; },
     ask(message, seconds = SILENT) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
@@ -143,7 +143,9 @@ async function start(setup, {playing = null, keepNotice = false} = {}) {
 
 // Null where another drive was asked for meanwhile.
 async function begun(setup, number, plays) {
-  const engine = await engineOfPage(), started = await engine.ask({type: "start", setup});
+  const engine = await engineOfPage();
+  if (page.drive) page.drive.replaced = true;  // what is asked from here on would be asked of the next one
+  const started = await engine.ask({type: "start", setup});
   if (number !== asked) return null;
   page.setup = setup;
   page.drive = beginDrive(started);
@@ -157,7 +159,7 @@ async function begun(setup, number, plays) {
 function beginDrive(started) {
   const history = makeHistory(started, {top: 0.5, shades: TRAIL});
   history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
-  return {started, history, busy: false, over: false, touches: []};
+  return {started, history, busy: false, over: false, replaced: false, touches: []};
 }
 
 const WHERE = {
@@ -174,7 +176,7 @@ function refused(error, setup) {
 
 async function advance(periods) {
   const {drive} = page;
-  if (!drive || drive.over) return 0;
+  if (!drive || drive.over || drive.replaced) return 0;
   drive.busy = true;
   try {
     const frames = await page.engine.ask({type: "advance", periods});
@@ -212,7 +214,7 @@ function takeFrames(history, frames) {
 // Before each picture: what will be shown soon is asked for.
 function driveAhead(now, clock) {
   const {drive} = page;
-  if (!drive || drive.busy || drive.over) return;
+  if (!drive || drive.busy || drive.over || drive.replaced) return;
   const {period} = drive.history;
   const lead = !clock.playing ? LEAST_AHEAD * period
     : clock.rate === Infinity ? Infinity
@@ -241,7 +243,7 @@ async function advanceBy(periods) {
 // what: as in the engine's message; said: the event in words, {key} joins the touches of one gesture.
 async function change(car, what, {text, key = null} = {}) {
   const {drive, clock} = page;
-  if (!drive) return;
+  if (!drive || drive.replaced) return;
   if (drive.over) {  // the drive is over: what was touched acts on the next one
     if (page.driveOver === drive) return;
     page.driveOver = drive;
