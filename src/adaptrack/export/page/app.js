@@ -142,10 +142,12 @@ async function start(setup, {playing = null, keepNotice = false} = {}) {
 }
 
 // Null where another drive was asked for meanwhile.
+let beginning = 0;  // drives that were asked for: meanwhile none goes on, as its frames would be the next one's
+
 async function begun(setup, number, plays) {
   const engine = await engineOfPage();
-  if (page.drive) page.drive.replaced = true;  // what is asked from here on would be asked of the next one
-  const started = await engine.ask({type: "start", setup});
+  beginning++;
+  const started = await engine.ask({type: "start", setup}).finally(() => { beginning--; });
   if (number !== asked) return null;
   page.setup = setup;
   page.drive = beginDrive(started);
@@ -176,7 +178,7 @@ function refused(error, setup) {
 
 async function advance(periods) {
   const {drive} = page;
-  if (!drive || drive.over || drive.replaced) return 0;
+  if (!drive || drive.over || beginning) return 0;
   drive.busy = true;
   try {
     const frames = await page.engine.ask({type: "advance", periods});
