@@ -161,7 +161,7 @@ async function begun(setup, number, plays) {
 function beginDrive(started) {
   const history = makeHistory(started, {top: 0.5, shades: TRAIL});
   history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
-  return {started, history, busy: false, over: false, replaced: false, touches: []};
+  return {started, history, busy: false, over: false, touches: []};
 }
 
 const WHERE = {
@@ -216,7 +216,7 @@ function takeFrames(history, frames) {
 // Before each picture: what will be shown soon is asked for.
 function driveAhead(now, clock) {
   const {drive} = page;
-  if (!drive || drive.busy || drive.over || drive.replaced) return;
+  if (!drive || drive.busy || drive.over) return;
   const {period} = drive.history;
   const lead = !clock.playing ? LEAST_AHEAD * period
     : clock.rate === Infinity ? Infinity
@@ -245,7 +245,7 @@ async function advanceBy(periods) {
 // what: as in the engine's message; said: the event in words, {key} joins the touches of one gesture.
 async function change(car, what, {text, key = null} = {}) {
   const {drive, clock} = page;
-  if (!drive || drive.replaced) return;
+  if (!drive || beginning) return;
   if (drive.over) {  // the drive is over: what was touched acts on the next one
     if (page.driveOver === drive) return;
     page.driveOver = drive;
