@@ -1,15 +1,11 @@
-"""Twenty drives of the page, and what Python drives with the same setups: for Node here, and for browsers.
-
-`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows there
-are, and the SHA-256 of these columns one behind the other, as little-endian float64 with every NaN as 0x7ff8000000000000.
-"""
+"""Twenty drives of the page, and what Python drives with the same setups: for Node and for browsers."""
 
 import functools
-import hashlib
 
 import numpy as np
 
 import adaptrack as at
+from adaptrack.export.page_data import page_car
 from adaptrack.export.page_setup import simulate_setup
 
 COLUMNS = {
@@ -19,11 +15,9 @@ COLUMNS = {
 }  # fmt: skip
 """Columns of frames, and what a `Trajectory` calls them."""
 SHEET = {"mass": 1480.0, "wheelbase": 2.68}
-VAN = {
-    "name": "mine", "description": "", "estimated": [], "tyre": {"name": "van"},
-    "numbers": {key: value for key, value in at.load_vehicle("van").model_dump().items() if isinstance(value, float)},
-    "steering": {"lag": 0.2, "dead_time": 0.08, "rate": 0.6, "limit": 0.55, "ratio": None},
-}  # fmt: skip
+VAN = page_car(
+    at.load_vehicle("van").replace(name="mine", steering=at.Steering(lag=0.2, dead_time=0.08, rate=0.6, limit=0.55))
+)
 """A car file as the page has read it."""
 
 
@@ -64,6 +58,8 @@ SETUPS = {
     "laws": _setup(SEDAN, {"name": "country"}, {"lateral": 2.0}, "road", "pure-pursuit", "stanley", seed=4),
     "lqr": _setup({"name": "van"}, {"name": "town"}, {"lateral": 2.0}, "production", "lqr", "stanley"),
     "late samples": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "production", "informed", "learning", seed=9),
+    "unknown": _setup({"name": "van"}, {"name": "country"}, {"lateral": 2.5}, "production",
+                      {"kind": "learning", "knows": "sheet"}, {"kind": "informed", "knows": "sheet"}, seed=6),
     "first test": _setup(PAPER, {"test": "triple-lane-change"}, {}, "paper", "published", "published-nn"),
     "second test": _setup(PAPER, {"test": "general-trajectory"}, {}, "road", "informed", "published-anfis"),
     # begun from what a user gives
@@ -100,18 +96,3 @@ def columns_of(trajectory):
         found |= {key: values.astype(float) for key, values in group.items()}
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}
-
-
-def digest(columns):
-    """SHA-256 of columns one behind the other."""
-    content = np.concatenate([np.where(np.isnan(each), np.nan, each) for each in columns.values()])
-    return hashlib.sha256(content.astype("<f8").tobytes()).hexdigest()
-
-
-def proofs():
-    """See the module."""
-    return [
-        {"name": name, "setup": setup, "cars": [
-            {"columns": list(each), "rows": len(each["x"]), "sha256": digest(each)} for each in driven(name)
-        ]} for name, setup in SETUPS.items()
-    ]  # fmt: skip

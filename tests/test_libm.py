@@ -36,7 +36,7 @@ def _benchmark():
 BENCHMARK = _benchmark()
 FUNCTIONS = {name: each for name, each in BENCHMARK.FUNCTIONS.items() if each.arguments}
 ENTRIES = {name: BENCHMARK.entry_of(each) for name, each in BENCHMARK.FUNCTIONS.items()}
-ENTRIES |= {"soft_fma": exact.soft_fma, "soft_ceil": entry(exact.soft_ceil)}
+ENTRIES |= {"soft_fma": exact.soft_fma, "whole_fma": exact.whole_fma, "soft_ceil": entry(exact.soft_ceil)}
 INF, NAN = math.inf, math.nan
 ULPS = 4096.0 if INTERPRETED else 1.0  # the interpreter's multiply-add rounds twice: 1e-12 is left
 LARGEST, LEAST = sys.float_info.max, 5e-324
@@ -206,8 +206,16 @@ def hard_cases(rng, count):
         few_bits(rng, count, 30) * 2.0**-530,
         few_bits(rng, count, 20) * 2.0**-1050,
     )
-    big = 2.0 ** rng.integers(500, 520, count)
+    big = 2.0 ** rng.integers(490, 520, count)
     yield a * big, b * big, rng.uniform(-2.0, 2.0, count) * 2.0 ** rng.integers(1000, 1023, count)
+    # next to a sum that cancels, half a unit and a little from a double, and with zeros of both signs
+    near = np.nextafter(-a * b, rng.choice([-9.0, 9.0], count))
+    yield a, b, rng.choice([1.0, 0.5, 2.0], count) * near
+    yield a, few_bits(rng, count, 3), np.where(rng.uniform(size=count) < 0.5, a, b) * 2.0 ** rng.integers(50, 57, count)
+    yield a, 1.0 + 2.0 ** -rng.integers(20, 53, count), 2.0 ** rng.integers(-56, 56, count).astype(float)
+    signed = rng.choice([0.0, -0.0, 1.0, -3.0], (3, count))
+    yield signed[0], signed[1], signed[2]
+    yield signed[0] * a, signed[1] * b, -signed[0] * a * signed[1] * b
 
 
 def test_the_soft_multiply_add_rounds_the_exact_sum_once(rng):
@@ -219,21 +227,42 @@ def test_the_soft_multiply_add_rounds_the_exact_sum_once(rng):
                 assert same(ENTRIES["soft_fma"](a, b, c), expected), (a, b, c)
 
 
-@pytest.mark.compiled
-def test_the_soft_multiply_add_is_that_of_the_processor(rng):
-    soft = exact.soft_fma
+def check_multiply_adds(rng, count):
+    """Every soft multiply-add, one number or eight at a time, against the processor's."""
+    soft, whole, eight = exact.soft_fma, exact.careful_fma, exact.soft_fma8
 
     @numba.njit(error_model="numpy")
-    def first_difference(a, b, c):
+    def same_float(x, y):
+        return (x != x and y != y) or (x == y and math.copysign(1.0, x) == math.copysign(1.0, y))
+
+    @numba.njit(error_model="numpy")
+    def first_difference(a, b, c, eighth):
         for i in range(a.size):
-            x, y = fma(a[i], b[i], c[i]), soft(a[i], b[i], c[i])
-            if not ((x != x and y != y) or (x == y and math.copysign(1.0, x) == math.copysign(1.0, y))):
+            if i % 8 == 0 and i + 8 <= a.size:
+                eight(a[i : i + 8], b[i : i + 8], c[i : i + 8], eighth)
+            x = fma(a[i], b[i], c[i])
+            if not (same_float(x, soft(a[i], b[i], c[i])) and same_float(x, whole(a[i], b[i], c[i]))):
+                return i
+            if i < a.size // 8 * 8 and not same_float(x, eighth[i % 8]):
                 return i
         return -1
 
     grid = [each.ravel().copy() for each in np.meshgrid(SPECIAL, SPECIAL, SPECIAL)]
-    for each in [*hard_cases(rng, 100000), grid]:
-        assert first_difference(*each) == -1
+    for each in [*hard_cases(rng, count), grid]:
+        found = first_difference(*map(np.ascontiguousarray, each), np.zeros(8))
+        assert found == -1, [values[found] for values in each]
+
+
+@pytest.mark.compiled
+def test_the_soft_multiply_adds_are_those_of_the_processor(rng):
+    check_multiply_adds(rng, 50_000)
+
+
+@pytest.mark.compiled
+@pytest.mark.slow
+def test_twenty_million_soft_multiply_adds_are_those_of_the_processor(rng):
+    for _ in range(4):
+        check_multiply_adds(rng, 400_000)
 
 
 def test_the_soft_root_is_that_of_the_processor(rng):

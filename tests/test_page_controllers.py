@@ -17,14 +17,13 @@ from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import LQR, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.core.controllers.mpc import Settings
 from adaptrack.core.estimators import kalman, learning
-from adaptrack.core.kernel import size_of
+from adaptrack.core.kernel import INTERPRETED, size_of
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car as cars
 from adaptrack.core.synthesis import filter, informed, laws, plant, published
 from adaptrack.drive.world import World
 from adaptrack.export.page_controllers import MADE_BY, controller_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, tyre_numbers
-from adaptrack.scenario import RoadDrive
 
 PROFILES = ("paper", "road", "production")
 KERNELS = {"pure_pursuit_parameters": laws.pure_pursuit_parameters, "stanley_parameters": laws.stanley_parameters}
@@ -188,7 +187,8 @@ def test_plant_and_loop_are_those_of_the_package(which):
         driven = DualTrack(car, steering=expected.steering)
         same(program.plant(), driven.packed())
         names = program.world["plants"][plant.plant_law(program.tyre)]
-        assert names["advance"] == getattr(driven.compiled.advance, "name", driven.compiled.advance.__name__)
+        if not INTERPRETED:  # there functions have no names of the library
+            assert names["advance"] == driven.compiled.advance.name
         world = World.of(DualTrack(car), at.MPC(car, profile=profile), profile, None, None, None)
         for speed in (3.0, 26.5):
             assert program.settings(speed) == world.settings(world.substeps(speed))._asdict()
@@ -242,12 +242,5 @@ def test_a_law_is_that_of_the_package(which, kind):
         parameters, tuning = program.law()
         same(parameters, own.parameters())
         same(tuning, own.packed_tuning())
-        assert program.given["function"] == getattr(own.function, "name", own.function.__name__)
+        assert INTERPRETED or program.given["function"] == own.function.name
         assert (program.given["memory"], program.given["diagnostics"]) == (own.memory_size, list(own.diagnostic_names))
-
-
-def test_a_start_beside_the_road_is_that_of_the_package():
-    road = at.generate_road("town", seed=3)
-    drive = RoadDrive(road, 15.0, start_offset=0.7, start_heading=0.1)
-    place = road.at(0.0)
-    same(plant.start_pose(float(place.x), float(place.y), float(place.heading), 0.7, 0.1), drive.start_pose())

@@ -231,8 +231,6 @@ def by_emulator(name, image, folder):
 def by_node(name, image, folder):
     if shutil.which("node") is None:
         pytest.skip("node is not installed")
-    if built(name).suffix != ".wasm":
-        pytest.skip("the kernels for wasm32 have not been linked: wasm-ld was not installed")
     return ["node", str(HERE / "driver.mjs"), str(built(name)), str(folder / "image"), str(folder / "answers"),
             *image.functions]  # fmt: skip
 
@@ -304,12 +302,11 @@ def test_what_is_exported_gives_the_same_bits_on_windows(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["elementary", "mpc"])
-def test_what_is_exported_for_pages_gives_the_same_bits(what, images, tmp_path):
-    if why := board.missing("wasm32", ("node", "wasm-ld")):
+def test_what_is_exported_for_webassembly_gives_the_same_bits(what, images, tmp_path):
+    if why := board.missing("wasm32", ("node",)):
         pytest.skip(why)
-    builder = pytest.importorskip("adaptrack.core.build.library", exc_type=ImportError)
-    content = library.export_of("wasm32").read_bytes()
-    (tmp_path / "kernels.wasm").write_bytes(builder.link(content, builder.linker(builder.TARGETS["wasm32"])))
+    linker = pytest.importorskip("adaptrack.core.build.wasm_link", exc_type=ImportError)
+    (tmp_path / "kernels.wasm").write_bytes(linker.linked(library.export_of("wasm32").read_bytes()))
     image, expected = images[what]
     image.words().tofile(tmp_path / "image")
     subprocess.run(["node", str(HERE / "driver.mjs"), str(tmp_path / "kernels.wasm"), str(tmp_path / "image"),

@@ -1,7 +1,7 @@
 // Runs the worker of the page: node page.mjs WORKER.js KERNELS.wasm DATA.json REQUESTS.json ANSWERS
 //
 // REQUESTS: a list of messages, answered in turn. ANSWERS: a folder; answer k as k.json, its typed arrays as k.bin, in
-// which {"at": byte, "count", "kind"} stand for them. Prints the milliseconds of each message.
+// which {"at": byte, "count", "kind"} stand for them. Prints of each message the milliseconds, and those of the processor.
 import fs from "node:fs";
 import path from "node:path";
 import vm from "node:vm";
@@ -14,9 +14,10 @@ vm.runInContext(fs.readFileSync(worker, "utf8"), scope, { filename: worker });
 
 const times = [];
 function ask(message) {
-  const begun = performance.now();
+  const begun = performance.now(), before = process.cpuUsage();
   self.onmessage({ data: message });
-  times.push([message.type, performance.now() - begun]);
+  const { user, system } = process.cpuUsage(before);
+  times.push([message.type, performance.now() - begun, (user + system) / 1000]);
 }
 
 ask({ type: "load", kernels: fs.readFileSync(kernels), data: JSON.parse(fs.readFileSync(data, "utf8")) });

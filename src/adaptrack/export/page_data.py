@@ -12,23 +12,24 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
-from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import size_of
 from adaptrack.core.loop import SIGNAL
-from adaptrack.core.models import single_track
 from adaptrack.core.models import path as path_model
+from adaptrack.core.models import single_track
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.period import Span
-from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
 from adaptrack.core.planning import along, drive, speed
 from adaptrack.core.planning.cells import PLAN
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
@@ -49,24 +50,6 @@ RECORDS = (
     plant.Body, plant.Outline,
 )  # fmt: skip
 """What the engine lays into memory."""
-CALLED = (
-    # a car, and a road with its speed and samples
-    "complete_car", "car_flaw", "static_loads", "overhangs", "outline_of", "path_words", "path_through", "path_parts",
-    "heading_count", "headings_along", "points_at", "road_edges", "plan_places", "plan_along_road", "plan_constant",
-    "drive_periods", "drive_samples", "drive_start", "complete_samples",
-    # a world, and a controller
-    "plant_parameters", "plant_substeps", "plant_law", "dead_periods", "usual_filter", "informed_parts",
-    "informed_sizes", "informed_constants", "published_constants", "steering_delay", "pure_pursuit_parameters",
-    "stanley_parameters", "lqr_parameters",
-    # a drive
-    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
-)  # fmt: skip
-"""What the engine calls; what it links besides are members."""
-MEMBERS = (
-    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
-    *(f"dual_track_{tyre}_{what}" for tyre in ("linear", "magic", "curved") for what in ("advance", "observe")),
-)  # fmt: skip
-"""Functions whose addresses are in records."""
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
@@ -88,7 +71,7 @@ def page_data() -> dict[str, Any]:
     """All of it."""
     return _plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
-        "cars": {name: _car(name) for name in list_vehicles()}, "inputs": car_fields(),
+        "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
         "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
         "no_schedule": image(no_schedule()),
@@ -124,9 +107,8 @@ def _sizes() -> dict[str, int]:
     }  # fmt: skip
 
 
-def _car(name: str) -> dict[str, Any]:
+def page_car(made: Vehicle) -> dict[str, Any]:
     """A car as the page reads it from a file."""
-    made = load_vehicle(name)
     sections = ("steering", "body", "known_within", "domain")
     return {
         "name": made.name, "description": made.description,
@@ -163,8 +145,8 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
             "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
             "takes its state as it is measured: choose a controller that knows its car."
         }
-    made = controller_of({"kind": kind}, load_vehicle("paper"), known)
-    numbers = controller_numbers(kind if law else base, profile)
+    plain = kind if law else base
+    made, numbers = controller_of({"kind": plain}, load_vehicle("paper"), known), controller_numbers(plain, profile)
     schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
     return {
         **numbers, "words": KINDS[kind], "schedule": schedule if scheduled and not law else None,
@@ -191,7 +173,7 @@ def _test(name: str) -> dict[str, Any]:
     scenario, period = load_scenario(name), 0.05
     signals = scenario.sample(period)
     x = np.concatenate([[0.0], np.cumsum(0.5 * (signals.speed[1:] + signals.speed[:-1]) * period)])
-    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or signals.bank.any():
+    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or np.any(signals.bank):
         raise InvalidInput(f"test {name!r}: has more than the page knows of.")
     return {
         "period": period, "samples": signals.t.size, "y_ref": packed(signals.y_ref), "speed": packed(signals.speed),

@@ -5,6 +5,9 @@ from __future__ import annotations
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import library
 
+PAGE = "wasm32-page"
+"""The name of what is exported for pages."""
+
 
 def page_kernels() -> bytes:
     """The module.
@@ -15,6 +18,8 @@ def page_kernels() -> bytes:
         When it has not been built.
     """
     try:
-        return library.whole(library.manifest()["libraries"]["wasm32"]).read_bytes()
+        return library.export_of(PAGE).read_bytes()
     except library.UNUSABLE as error:
-        raise InvalidInput(f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} wasm32.") from None
+        raise InvalidInput(
+            f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} --export {PAGE}."
+        ) from None

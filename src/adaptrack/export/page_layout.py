@@ -91,11 +91,6 @@ def packed(values: Any) -> dict[str, Any]:
     return {"i8" if whole else "f8": base64.b64encode(content.tobytes()).decode(), "shape": list(array.shape)}
 
 
-def row(value: Any) -> dict[str, Any]:
-    """A row of a record of numbers, whole."""
-    return {"words": base64.b64encode(np.array([value]).tobytes()).decode()}
-
-
 def image(record: Any) -> dict[str, Any]:
     """A record with all that it holds; what is zero throughout is given by its shape alone."""
     functions = {kernel.address: name for name, kernel in EXPORTED.items() if "address" in vars(kernel)}
@@ -103,8 +98,8 @@ def image(record: Any) -> dict[str, Any]:
 
 
 def _value(kind: Any, value: Any, functions: dict[int, str]) -> Any:
-    if isinstance(value, tuple):
-        return {field: _value(inner, getattr(value, field), functions) for field, inner in value.kinds.items()}
+    if hasattr(kind, "kinds"):
+        return {field: _value(inner, getattr(value, field), functions) for field, inner in kind.kinds.items()}
     if isinstance(kind, Array):
         if not value.tobytes().strip(b"\0"):
             return {"shape": list(value.shape)}

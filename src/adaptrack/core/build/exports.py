@@ -1,4 +1,5 @@
-"""What is taken into other programs: an object file for each target, of the kernels that a controller calls.
+"""What is taken into other programs: an object file for each target, of the kernels that a controller calls; and for
+pages a module of WebAssembly, of those that a whole drive calls.
 
 Nothing in it is global but these kernels, nothing is written that is static, and every function and constant has a
 section of its own, so that a linker leaves out what a program does not call. It calls nothing but what a target's
@@ -20,10 +21,12 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from .. import library
-from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted
+from . import page
+from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted, with_soft
 from .objects import undefined
 from .rules import plain
 from .units import PLANTS, UNITS
+from .wasm_link import linked
 
 KERNELS = (
     # of a program: a whole call, and a path
@@ -43,13 +46,14 @@ class Exported:
     """How a target is exported.
 
     compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names;
-    kernels: those that are global.
+    kernels: those that are global; whole: a module, made for speed, not an object.
     """
 
     target: Target
     compact: bool = False
     calls: tuple[str, ...] = ()
     kernels: tuple[str, ...] = KERNELS
+    whole: bool = False
 
 
 _WHOLE_NUMBERS = ("__aeabi_d2lz", "__aeabi_l2d", "__aeabi_ul2d", "__aeabi_ldivmod", "__aeabi_uldivmod")
@@ -76,6 +80,7 @@ def _exported(name: str) -> Exported:
 
 EXPORTS = {
     **{name: _exported(name) for name in _HOSTED},
+    "wasm32-page": Exported(TARGETS["wasm32"], kernels=(*page.CALLED, *page.MEMBERS), whole=True),
     "cortex-m7": Exported(Target("thumbv7em-unknown-none-eabihf", "cortex-m7"), True, _WHOLE_NUMBERS),
     "cortex-m33": Exported(
         Target("thumbv8m.main-unknown-none-eabi", "cortex-m33", "-fpregs", tuple(SOFT)), True, _WHOLE_NUMBERS + _DOUBLES
@@ -86,7 +91,7 @@ EXPORTS = {
 def shipped(own: list[str], portable: bool) -> list[str]:
     """What is made with the libraries of these names: all that a wheel has, or what this processor runs."""
     fits = [each for each in EXPORTS if each in own or f"{each.removesuffix('-v3')}-v4" in own]
-    return [*fits, "wasm32"] if portable else fits[-1:]
+    return [*fits, "wasm32", "wasm32-page"] if portable else fits[-1:]
 
 
 def archive(folder: Path) -> Path:
@@ -124,7 +129,7 @@ def emit_export(text: str, name: str) -> bytes:
     left = [each for each in undefined(content) if each not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
-    return content
+    return linked(content) if chosen.whole else content
 
 
 def _hosted(target: Target) -> bool:
@@ -137,12 +142,7 @@ def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
     if chosen.compact:
         text = text.replace(" alwaysinline", " nounwind")
     text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
-    text += "".join(f"declare double @adaptrack_soft_{each}({', '.join(['double'] * SOFT[each])})\n"
-                    for each in target.lacks if f"@adaptrack_soft_{each}(" not in text)  # fmt: skip
-    for each in target.lacks:  # C's function of this name, for this module alone, and only if it is called
-        taken = [f"double %x{i}" for i in range(SOFT[each])]
-        text += f"define internal double @{each}({', '.join(taken)}) noinline {{\n"
-        text += f"  %y = call double @adaptrack_soft_{each}({', '.join(taken)})\n  ret double %y\n}}\n"
+    text = with_soft(text, target, "internal", inlined=chosen.whole)
     if target.lacks:
         kept = ", ".join(f"ptr @{each}" for each in target.lacks)
         text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept}]"

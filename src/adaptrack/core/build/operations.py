@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import operator
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core import errors as _numba_errors
-from numba.extending import intrinsic, models, register_model
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import intrinsic, lower_builtin, models, register_model
 
+from ..maths.bits import ABOVE_ONE, LARGEST_USUAL, LEAST_USUAL
 from ..maths.vectors import WIDTH
 from .numba_types import array
 
@@ -232,6 +235,92 @@ add = _binary("fadd")
 sub = _binary("fsub")
 mul = _binary("fmul")
 div = _binary("fdiv")
+
+
+def _operator(which: Any, name: str) -> None:
+    """Let an operator of Python's take eight numbers at once."""
+
+    @infer_global(which)
+    class _Typed(AbstractTemplate):  # type: ignore[misc]
+        def generic(self, args: Any, kws: Any) -> Any:
+            return vector8(vector8, vector8) if args == (vector8, vector8) else None
+
+    @lower_builtin(which, Vector, Vector)
+    def _lowered(context, builder, signature, args):
+        return getattr(builder, name)(*args)
+
+
+_operator(operator.add, "fadd")
+_operator(operator.sub, "fsub")
+_operator(operator.mul, "fmul")
+
+
+def _filled(like: Any, value: Any) -> Any:
+    """A constant of this LLVM type, in every entry if it has several."""
+    return ir.Constant(like, [value] * WIDTH if isinstance(like, ir.VectorType) else value)
+
+
+def _integers(builder: Any, value: Any) -> Any:
+    several = isinstance(value.type, ir.VectorType)
+    return builder.bitcast(value, ir.VectorType(ir.IntType(64), WIDTH) if several else ir.IntType(64))
+
+
+def _absolute(builder: Any, value: Any) -> Any:
+    whole = _integers(builder, value)
+    return builder.bitcast(builder.and_(whole, _filled(whole.type, 2**63 - 1)), value.type)
+
+
+@intrinsic
+def upper_half(typingctx, x):
+    """x rounded to 26 bits."""
+
+    def codegen(context, builder, signature, args):
+        whole = _integers(builder, args[0])
+        rounded = builder.add(whole, _filled(whole.type, 2**26))
+        return builder.bitcast(builder.and_(rounded, _filled(whole.type, -(2**27))), args[0].type)
+
+    return x(x), codegen
+
+
+@intrinsic
+def to_odd(typingctx, x, rest):
+    """x + rest rounded to odd, where x is the sum rounded and `rest` what that lost."""
+
+    def codegen(context, builder, signature, args):
+        number, lost = (_integers(builder, each) for each in args)
+        one = _filled(number.type, 1)
+        step = builder.or_(builder.ashr(builder.xor(number, lost), _filled(number.type, 63)), one)
+        even = builder.sub(builder.and_(number, one), one)  # all bits set
+        inexact = builder.sext(builder.fcmp_ordered("!=", args[1], _filled(args[1].type, 0.0)), number.type)
+        moved = builder.add(number, builder.and_(step, builder.and_(even, inexact)))
+        return builder.bitcast(moved, args[0].type)
+
+    return x(x, x), codegen
+
+
+@intrinsic
+def usual_sum(typingctx, a, b, c, y, beyond):
+    """Whether `soft_fma` may take its short way."""
+
+    def codegen(context, builder, signature, args):
+        a, b, c, y, beyond = args
+        zero = _filled(a.type, 0.0)
+        total = builder.fadd(builder.fadd(_absolute(builder, a), _absolute(builder, b)), _absolute(builder, c))
+        small = builder.fcmp_ordered("<", total, _filled(a.type, LARGEST_USUAL))
+        nothing = builder.or_(builder.fcmp_ordered("==", a, zero), builder.fcmp_ordered("==", b, zero))
+        product = _absolute(builder, builder.fmul(a, b))
+        large = builder.fcmp_ordered(">=", product, _filled(a.type, LEAST_USUAL))
+        found = builder.and_(small, builder.or_(large, nothing))
+        further = builder.fadd(y, builder.fmul(beyond, _filled(a.type, ABOVE_ONE)))
+        found = builder.and_(found, builder.fcmp_ordered("==", further, y))
+        if not isinstance(a.type, ir.VectorType):
+            return found
+        wide = builder.sext(found, ir.VectorType(ir.IntType(64), WIDTH))
+        name = f"llvm.vector.reduce.and.v{WIDTH}i64"
+        declared = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.IntType(64), [wide.type]), name)
+        return builder.icmp_signed("!=", builder.call(declared, [wide]), ir.Constant(ir.IntType(64), 0))
+
+    return types.boolean(a, b, c, y, beyond), codegen
 
 
 @intrinsic

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
+
+import numpy as np
 
 from ..kernel import inlined, primitive
 
@@ -27,6 +30,42 @@ def bits_of(x: float) -> int:
 def float_of(bits: int) -> float:
     """The float of these 64 bits."""
     return struct.unpack("<d", struct.pack("<Q", bits & 0xFFFFFFFFFFFFFFFF))[0]
+
+
+LARGEST_USUAL, LEAST_USUAL, ABOVE_ONE = 2.0**500, 2.0**-960, 1.0 + 2.0**-52
+"""Of a product's factors and of what is added to it, of a product, and the float above 1, see `usual_sum`."""
+
+
+def _bits(x: Any) -> Any:
+    return np.array(x, np.float64).view(np.int64)
+
+
+@primitive
+def upper_half(x: Any) -> Any:
+    """x, a float or eight of them, rounded to 26 bits: what it is less than x has 26, too. For |x| < 2^1023."""
+    return ((_bits(x) + 2**26) & -(2**27)).view(np.float64)[()]
+
+
+@primitive
+def to_odd(x: Any, rest: Any) -> Any:
+    """x + rest rounded to odd, of floats or of eight at a time: x is their sum, and `rest` what its rounding lost.
+
+    Of the two floats around an inexact sum it is the one whose last bit is set.
+    """
+    number = _bits(x)
+    step = ((number ^ _bits(rest)) >> 63) | 1
+    return np.where((np.asarray(rest) != 0.0) & (number & 1 == 0), number + step, number).view(np.float64)[()]
+
+
+@primitive
+@np.errstate(all="ignore")
+def usual_sum(a: Any, b: Any, c: Any, y: Any, beyond: Any) -> bool:
+    """Whether |a| + |b| + |c| < 2^500, |a b| >= 2^-960 or a or b is zero, and y + beyond, which is exact, not halfway
+    from y to the next float; of eight numbers each: of all.
+    """
+    near = (np.abs(a) + np.abs(b) + np.abs(c) < LARGEST_USUAL) & np.equal(y + beyond * ABOVE_ONE, y)
+    product = np.abs(np.multiply(a, b)) >= LEAST_USUAL
+    return bool(np.all(near & (product | (np.equal(a, 0.0) | np.equal(b, 0.0)))))
 
 
 @inlined

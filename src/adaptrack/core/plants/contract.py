@@ -23,7 +23,7 @@ from ..layout import put, room
 SLOTS = 32
 """Vehicles of a batch."""
 GROUP = 8
-"""Slots that are advanced together: what lies between the last vehicle and the next multiple is filled."""
+"""Slots that are advanced together: between the last of several vehicles and the next multiple they are filled."""
 
 STATE = columns(
     "x", "y",  # m

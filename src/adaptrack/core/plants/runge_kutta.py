@@ -41,8 +41,11 @@ def _sweep(right_hand_side, block, slots, steps, c, law):
 
 @inlined
 def _fill_group(block, slots):
-    """Copy slot 0 to the slots between the last vehicle and the next multiple of GROUP; returns that multiple."""
-    whole = (slots + GROUP - 1) // GROUP * GROUP
+    """Copy slot 0 to the slots between the last vehicle and the next multiple of GROUP; returns that multiple.
+
+    A vehicle alone stays so: where registers hold two numbers, seven others would cost four times as much.
+    """
+    whole = slots if slots == 1 else (slots + GROUP - 1) // GROUP * GROUP
     for i in range(slots, whole):
         for row in range(STATES + INPUTS):
             block[row * SLOTS + i] = block[row * SLOTS]

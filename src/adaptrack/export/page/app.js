@@ -67,7 +67,7 @@ async function makeEngine(died) {
     die(event.message || "the simulation stopped");
   };
   return {
-    data, end,
+    data, end, die,
     get dead() { return over; },
     ask(message, seconds = SILENT) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
@@ -245,7 +245,7 @@ async function advanceBy(periods) {
 // what: as in the engine's message; said: the event in words, {key} joins the touches of one gesture.
 async function change(car, what, {text, key = null} = {}) {
   const {drive, clock} = page;
-  if (!drive) return;
+  if (!drive || beginning) return;
   if (drive.over) {  // the drive is over: what was touched acts on the next one
     if (page.driveOver === drive) return;
     page.driveOver = drive;

@@ -23,7 +23,7 @@ const LESSONS = [
   },
   {
     id: "horizon", short: "Horizon", title: "What the horizon does",
-    text: "The dotted line is how far the controller looks ahead: 30 periods of 0.05 s. A horizon that ends before the steering has answered cannot choose, while what lies beyond half a second gains little.",
+    text: "The dotted line is how far the controller looks ahead: 30 periods of 0.05 s. A horizon that ends before the steering has answered cannot choose, while what lies beyond half a second gains millimetres.",
     todo: "Lower Np to 5.", does: "Lower it for me",
     setup: () => makeSetup({road: {name: "oval"}, controllers: [oneController("informed", {tuning: tune(30, 10, 1, 4)})]}),
     open: "more-controller",

@@ -1,0 +1,23 @@
+"""The kernels that the driving page calls, and those whose addresses its records hold."""
+
+from .units import PLANTS
+
+CALLED = (
+    # a run, and what is shown of it
+    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
+    # roads
+    "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
+    # cars and plants
+    "complete_car", "car_flaw", "static_loads", "outline_of", "overhangs", "plant_parameters", "plant_substeps",
+    "plant_law", "dead_periods", "steering_delay",
+    # controllers
+    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
+    "pure_pursuit_parameters", "stanley_parameters", "lqr_parameters",
+    # speeds and drives
+    "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
+    "complete_samples",
+)  # fmt: skip
+MEMBERS = (
+    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
+    *(each for each in PLANTS if each.startswith("dual_track")),
+)  # fmt: skip

@@ -1,0 +1,192 @@
+"""The page on which one drives, used: lessons, touches, drawing, the lag that a controller bears, what is taken along."""
+
+import json
+
+import pytest
+
+import adaptrack as at
+import browser
+from adaptrack.core.kernel import INTERPRETED
+from browsers import Chromium
+from pages import READY, STATE
+
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled"),
+    pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE),
+]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return at.export_page(tmp_path_factory.mktemp("page") / "drive.html")
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with Chromium() as page:
+        yield page
+
+
+@pytest.fixture
+def shown(chromium, file):
+    """The page, paused."""
+    return opened(chromium, file)
+
+
+def opened(page, file, fragment=""):
+    page.open("about:blank")
+    page.open(file.as_uri() + fragment)
+    page.wait(READY)
+    page.run("adaptrackPage.pause()")
+    return page
+
+
+def click(page, name):
+    page.run(f"document.getElementById('{name}').click()")
+
+
+def choose(page, name, value):
+    page.run(f"(each => {{ each.value = '{value}'; each.dispatchEvent(new Event('change')); }})"
+             f"(document.getElementById('{name}'))")  # fmt: skip
+
+
+def slide(page, name, value):
+    page.run(f"(each => {{ each.value = {value}; each.dispatchEvent(new Event('input', {{bubbles: true}})); }})"
+             f"(document.getElementById('touch-{name}'))")  # fmt: skip
+
+
+def drive(page, periods):
+    """Goes on to the newest instant; the cars."""
+    page.run(f"adaptrackPage.advance({periods})")
+    page.run("adaptrackPage.seek(1e9)")
+    return page.run(STATE)["cars"]
+
+
+def test_it_drives_by_itself(chromium, file):
+    chromium.open("about:blank")
+    chromium.open(file.as_uri())
+    chromium.wait(f"window.adaptrackPage && {STATE}.t > 0.5", 10)
+
+
+# -- lessons ----------------------------------------------------------------------------------------------------------
+def test_a_lesson_sets_the_page_and_ticks_itself_when_it_was_done(chromium, file):
+    shown = opened(chromium, file, "#lesson=lag")
+    assert [car["failed"] for car in drive(shown, 100)] == [None, None]
+    assert not shown.run("document.getElementById('lesson-mark').classList.contains('done')")
+    click(shown, "lesson-do")
+    told, blind = drive(shown, 300)
+    shown.wait("document.getElementById('lesson-mark').classList.contains('done')", 5)
+    assert told["rms"] < 0.03 < 0.2 < blind["rms"]
+    assert "0.40 s" in shown.run(STATE)["events"][0]["text"]
+    assert shown.run("location.hash").startswith("#car=")  # no longer as the lesson set it
+
+
+def test_every_lesson_opens_and_has_one_thing_to_do(shown):
+    for name in shown.run("[...document.querySelectorAll('[data-lesson]')].map(each => each.dataset.lesson)"):
+        click(shown, f"lesson-link-{name}")
+        shown.wait(f"location.hash === '#lesson={name}' && {STATE}.cars[0]?.count > 0", 10)
+        assert shown.run("document.getElementById('lesson-do').checkVisibility()")
+    assert shown.said() == []
+
+
+# -- touches ----------------------------------------------------------------------------------------------------------
+def test_each_touch_is_an_event_in_words(shown):
+    before = drive(shown, 60)[0]["most"]
+    touches = ("push-left", "pull-right", "ice", "sensor-yaw_rate")
+    for name in touches:
+        click(shown, name)
+        shown.run("adaptrackPage.advance(20)")
+    assert drive(shown, 20)[0]["most"] > 2 * before
+    shown.wait(f"{STATE}.events.length === {len(touches)}", 5)
+    said = shown.run("document.getElementById('touches').textContent")
+    for word in ("Pushed to the left", "Wheel pulled to the right", "Ice laid", "Yaw rate no longer measured"):
+        assert word in said
+
+
+def test_a_car_that_is_dragged_is_pushed(shown):
+    drive(shown, 20)
+    x, y = shown.run("(() => { const {view} = adaptrackPage.page, {x, y} = view.place(0), [px, py] = view.toScreen(x, y),"
+                     " box = document.getElementById('road-canvas').getBoundingClientRect();"
+                     " return [px + box.left, py + box.top]; })()")  # fmt: skip
+    shown.click(x, y, to=(x, y - 40))  # the road begins along x: up is to the left
+    shown.wait(f"{STATE}.events.length === 1", 5)
+    assert "pushed to the left" in shown.run(STATE)["events"][0]["text"]
+
+
+def test_who_is_told_believes_what_is_true(shown):
+    click(shown, "told")
+    slide(shown, "lag", 0.5)
+    shown.wait(f"{STATE}.setup.controllers[0].belief?.lag === 0.5", 5)
+    assert drive(shown, 200)[0]["most"] < 0.2
+
+
+def test_a_new_drive_goes_on_while_it_plays(shown):
+    shown.run("adaptrackPage.play()")
+    for seed in range(4):
+        shown.run(f"adaptrackPage.start({{...{STATE}.setup, seed: {seed}}})")
+        shown.wait(f"{STATE}.cars[0].count > 8", 10)
+
+
+# -- a road of one's own ----------------------------------------------------------------------------------------------
+def test_a_road_is_drawn_with_the_pointer_and_with_keys(shown):
+    choose(shown, "setup-road", "draw")
+    left, top, width, height = shown.run("(({x, y, width, height}) => [x, y, width, height])"
+                                         "(document.getElementById('road-canvas').getBoundingClientRect())")  # fmt: skip
+    shown.click(left + 0.1 * width, top + 0.6 * height, to=(left + 0.9 * width, top + 0.4 * height))
+    shown.wait(f"{STATE}.setup.road.points && {STATE}.cars[0].count > 0", 10)
+    pointed = shown.run(STATE)["setup"]["road"]["points"]
+    choose(shown, "setup-road", "draw")
+    shown.wait("document.activeElement.id === 'road-canvas'", 5)
+    for _ in range(6):
+        shown.press("ArrowRight", shift=True, times=2)
+        shown.press("ArrowUp")
+        shown.press("Enter")
+    shown.press("d")
+    shown.wait(f"{STATE}.setup.road.points.length === 6 && {STATE}.cars[0].count > 0", 10)
+    assert len(pointed) >= 4
+    assert shown.run(STATE)["notice"] == ""
+
+
+# -- the question of a new user ---------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_one_click_says_how_much_lag_the_controller_bears(shown):
+    click(shown, "sweep")
+    shown.wait("/bears/.test(document.getElementById('sweep-words').textContent)", 120)
+    said = shown.run("document.getElementById('sweep-words').textContent")
+    assert "bears 0.3" in said  # s, of a controller that believes 0.15 s
+    assert shown.run("document.querySelectorAll('#sweep-plot circle, #sweep-plot path').length") >= 6
+
+
+# -- mishaps ----------------------------------------------------------------------------------------------------------
+def test_a_worker_that_dies_is_begun_anew_with_a_sentence(shown):
+    shown.run("adaptrackPage.page.engine.die('a test')")
+    shown.wait(f"{STATE}.notice.includes('begun anew') && {STATE}.cars[0].count > 0", 10)
+    assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+def test_a_car_that_leaves_the_road_says_what_helps(shown):
+    shown.run(f"adaptrackPage.start({{...{STATE}.setup, truth: {{lag: 1}}}})")
+    drive(shown, 1000)
+    shown.wait("!document.getElementById('verdict').hidden", 5)
+    assert "let the controller know the lag" in shown.run("document.getElementById('verdict').textContent")
+
+
+# -- in words, and out again ------------------------------------------------------------------------------------------
+def test_what_is_shown_is_said_when_asked(shown):
+    drive(shown, 100)
+    click(shown, "say")
+    said = shown.run("document.getElementById('said').textContent")
+    for word in ("Midsize sedan on a mountain road", "on its line", "m/s", "RMS error"):
+        assert word in said
+
+
+def test_the_drive_is_saved_as_csv(shown):
+    drive(shown, 50)
+    shown.run("window.saved = null, URL.createObjectURL = (blob) => { blob.text().then((t) => { saved = t; });"
+              " return '#'; }, HTMLAnchorElement.prototype.click = () => {}")  # fmt: skip
+    click(shown, "csv-0")
+    shown.wait("window.saved !== null", 10)
+    lines = [line for line in shown.run("saved").splitlines() if not line.startswith("#")]
+    assert len(lines) >= 50
+    assert json.dumps(shown.said()) == "[]"

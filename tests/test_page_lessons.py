@@ -1,0 +1,174 @@
+"""What the page says is true: each lesson with the setup that it sets, the Python lines, the links."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from adaptrack.core.kernel import INTERPRETED
+from adaptrack.export import page_setup
+from adaptrack.export.page_file import SOURCES
+from adaptrack.export.page_setup import simulate_setup
+
+NODE = shutil.which("node")
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(INTERPRETED, reason="whole drives"),
+    pytest.mark.skipif(NODE is None, reason="no Node on the path (Debian: apt install nodejs)"),
+]
+FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
+
+
+def asked(expression, given=None):
+    """The value of an expression among the page's scripts; given: what `asked` is in it."""
+    script = "\n".join((SOURCES / name).read_text() for name in FILES)
+    whole = f"""
+    const asked = {json.dumps(given)}, page = {{setup: null}};
+    {script.replace('"use strict";', "")}
+    process.stdout.write(JSON.stringify({expression}));"""
+    found = subprocess.run([NODE, "-"], input=whole, capture_output=True, text=True, timeout=60, check=True)
+    return json.loads(found.stdout)
+
+
+@pytest.fixture(scope="module")
+def lessons():
+    return {each["id"]: each for each in asked("ALL_LESSONS.map((each) => ({...each, setup: each.setup()}))")}
+
+
+@pytest.fixture(autouse=True)
+def half_a_minute(monkeypatch):
+    monkeypatch.setattr(page_setup, "AN_HOUR", 60.0)  # laps of a closed road
+
+
+def drive(lesson, truth=None, **controllers):
+    """The RMS error (m), the largest one and the RMS move (rad) of each car, and why it ended, with other settings."""
+    setup = json.loads(json.dumps(lesson["setup"]))
+    setup["truth"] |= truth or {}
+    for name, more in controllers.items():
+        setup["controllers"][int(name[-1])] |= more
+    found = []
+    for run in simulate_setup(setup):
+        error, command = run.error[np.isfinite(run.error)], run.command[np.isfinite(run.command)]
+        rms = float(np.sqrt(np.mean(error**2)))
+        found.append((rms, float(abs(error).max()), float(np.sqrt(np.mean(np.diff(command) ** 2))), run.failed))
+    return found
+
+
+def test_there_are_six_lessons_and_the_papers_two_tests():
+    assert asked("[LESSONS.length, PAPER_TESTS.length]") == [6, 2]
+
+
+def test_a_blind_controller_swings_as_the_lag_grows_and_one_that_is_told_does_not(lessons):
+    lesson = lessons["lag"]
+    (told, *_), (blind, *_) = drive(lesson)
+    assert max(told, blind) < 0.02
+    swings = [drive(lesson, {"lag": lag}, c0={"belief": {"lag": lag, "dead_time": 0}}) for lag in (0.15, 0.4)]
+    assert 0.15 < swings[0][1][0] < swings[1][1][0]
+    assert swings[1][1][0] > 0.5
+    assert all(told[1] < 0.06 for told, _ in swings)
+
+
+def test_a_horizon_shorter_than_the_steering_loses_the_car_and_a_longer_one_gains_little(lessons):
+    runs = {Np: drive(lessons["horizon"], c0={"tuning": {"Np": Np, "Nc": min(Np, 10), "Q": 1, "R": 4}})[0]
+            for Np in (5, 8, 10, 30, 60)}  # fmt: skip
+    assert runs[5][3] == "off-road"
+    assert runs[8][1] < 0.08
+    assert runs[30][0] > 0.8 * runs[10][0]
+    assert runs[60][0] > 0.95 * runs[30][0]
+
+
+def test_weight_on_moves_is_paid_with_error(lessons):
+    (little, _, lively, _), (more, _, calm, _) = drive(lessons["weights"])
+    assert calm == pytest.approx(lively / 6.0, rel=0.2)
+    assert more > little
+    (_, (strays, _, lazy, _)) = drive(lessons["weights"], c1={"tuning": {"Np": 30, "Nc": 10, "Q": 1, "R": 1e6}})
+    assert lazy < lively / 12.0
+    assert strays > 0.2
+
+
+def test_adaptation_gains_on_the_general_trajectory_and_knowing_the_car_more(lessons):
+    constant, network = drive(lessons["adaptation"])
+    assert (round(1000 * constant[0]), round(1000 * network[0])) == (51, 34)
+    informed = drive(lessons["adaptation"], c1={"kind": "informed"})[1]
+    assert round(1000 * informed[0]) == 18
+
+
+def test_an_unknown_car_is_learned_and_a_wrong_belief_leaves_the_road(lessons):
+    learns, believes = simulate_setup(lessons["learning"]["setup"])
+    assert abs(learns.error).max() < 0.08
+    late = {name: learns.diagnostics[name][400] for name in ("belief_lag", "belief_dead_time")}
+    early = {name: learns.diagnostics[name][0] for name in late}
+    truth = {"belief_lag": 0.3, "belief_dead_time": 0.1}
+    for name, true in truth.items():
+        sigma = learns.diagnostics[f"{name}_sigma"]
+        assert abs(late[name] - true) < 2.0 * sigma[400] < 2.0 * 0.5 * sigma[0], (early, late)
+    assert believes.failed == "off-road"
+    assert 20.0 < believes.failed_at < 35.0
+
+
+def test_below_the_grip_that_the_bends_need_no_steering_helps(lessons):
+    (easy,) = drive(lessons["grip"])
+    assert easy[1] < 0.06
+    (lost,) = drive(lessons["grip"], {"friction": 0.3})
+    assert lost[3] in ("off-road", "spun")
+
+
+def test_the_papers_controller_needs_the_papers_steering(lessons):
+    (ideal,) = drive(lessons["triple-lane-change"])
+    assert ideal[0] ** 2 == pytest.approx(0.00291, rel=0.01)  # as docs/reproduce.md has it
+    real = json.loads(json.dumps(lessons["triple-lane-change"]))
+    real["setup"]["profile"] = "road"
+    assert drive(real)[0][3] == "off-road"
+    both = json.loads(json.dumps(lessons["general-trajectory"]))
+    both["setup"]["controllers"].append({"kind": "informed"})
+    (paper, *_), (informed, *_) = drive(both)
+    assert paper == pytest.approx(0.35, abs=0.01) == informed
+
+
+# -- what is taken along ----------------------------------------------------------------------------------------------
+DRAWN = [[14.0 * k, round(12.0 * np.sin(k / 3), 1)] for k in range(20)]
+CHANGED = {"lag": 0.3, "dead_time": 0.1, "bias": 0.01, "noise": 2.0, "friction": 0.7, "wind": 5.0}
+SETUPS = {
+    "sheet": {"car": {"sheet": {"mass": 1450.0, "wheelbase": 2.65}}},
+    "drawn": {"road": {"points": DRAWN, "closed": False, "name": "drawn"}, "speed": {"constant": 9.0}},
+    "production": {"profile": "production", "car": {"name": "van"}, "controllers": [{"kind": "learning"}]},
+    "touched": {"truth": CHANGED, "controllers": [{"kind": "informed", "belief": {"lag": 0.3, "dead_time": 0.1}}]},
+    "paper": {"car": {"name": "paper"}, "road": {"test": "triple-lane-change"}, "profile": "paper",
+              "controllers": [{"kind": "published", "tuning": {"Np": 30, "Nc": 6, "Q": 5.0, "R": 0.02}}]},
+    "scheduled": {"car": {"name": "paper"}, "truth": {"friction": 0.6, "wind": 4.0},
+                  "road": {"test": "triple-lane-change"}, "controllers": [{"kind": "published-anfis"}]},
+    "others": {"controllers": [{"kind": "stanley"}, {"kind": "lqr"}], "road": {"name": "town"}, "seed": 3},
+    "informed-nn": {"controllers": [{"kind": "informed-nn"}], "truth": {"lag": 0.0}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_the_python_lines_drive_what_the_page_drives(name, monkeypatch):
+    setup, lines = asked("[makeSetup(asked), (page.setup = makeSetup(asked), pythonOf(page.setup))]", SETUPS[name])
+    kept = []
+    simulate = page_setup.at.simulate
+    monkeypatch.setattr(page_setup.at, "simulate", lambda *a, **k: kept.append(simulate(*a, **k)) or kept[-1])
+    exec(lines, {})
+    expected = simulate_setup(setup)
+    assert len(kept) == len(expected)
+    for run, same in zip(kept, expected, strict=True):
+        np.testing.assert_array_equal(run.command, same.command)
+        np.testing.assert_array_equal(run.Y, same.Y)
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_a_link_gives_the_settings_back(name):
+    setup, found, notes = asked("(({hash}) => [makeSetup(asked), setupOf(hash).setup, setupOf(hash).notes])"
+                                "(addressOf(makeSetup(asked)))", SETUPS[name])  # fmt: skip
+    for each in setup["controllers"]:
+        each.update({key: each.get(key) for key in ("tuning", "belief")})
+    assert (found, notes) == (setup, [])
+
+
+def test_a_link_names_what_does_not_fit():
+    given = {"road": {"points": [[k, 0.0] for k in range(101)], "name": "long"}}
+    notes = asked("addressOf(makeSetup(asked), [{push: {}}, {sensors: {}}]).notes", given)
+    assert "long has 101 points, a link holds 100" in notes[0]
+    assert "pushes, sensors switched off" in notes[1]
