@@ -1,7 +1,7 @@
 """Twenty drives of the page, and what Python drives with the same setups: for Node here, and for browsers.
 
-`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows there
-are, and the SHA-256 of these columns one behind the other, as little-endian float64 with every NaN as 0x7ff8000000000000.
+`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows they
+have, and the SHA-256 of these columns one behind the other: float64, little-endian, every NaN as 0x7ff8000000000000.
 """
 
 import functools
@@ -63,6 +63,8 @@ SETUPS = {
     "laws": _setup(SEDAN, {"name": "country"}, {"lateral": 2.0}, "road", "pure-pursuit", "stanley", seed=4),
     "lqr": _setup({"name": "van"}, {"name": "town"}, {"lateral": 2.0}, "production", "lqr", "stanley"),
     "late samples": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "production", "informed", "learning", seed=9),
+    "unknown": _setup({"name": "van"}, {"name": "country"}, {"lateral": 2.5}, "production",
+                      {"kind": "learning", "knows": "sheet"}, {"kind": "informed", "knows": "sheet"}, seed=6),
     "first test": _setup(PAPER, {"test": "triple-lane-change"}, {}, "paper", "published", "published-nn"),
     "second test": _setup(PAPER, {"test": "general-trajectory"}, {}, "road", "informed", "published-anfis"),
     # begun from what a user gives

@@ -116,24 +116,14 @@ NAME = """((each) => each === document.body ? "body" : `${each.id || each.datase
   || (each.getAttribute("aria-label") || each.textContent).trim().slice(0, 30)} <${each.tagName.toLowerCase()}>`)"""
 """A control in words."""
 
-SAME = {
-    "time": "t", "x": "X", "y": "Y", "yaw": "psi", "vx": "vx", "vy": "vy", "yaw_rate": "yaw_rate",
-    "wheel_angle": "steering", "command": "command", "lateral_acceleration": "lateral_acceleration",
-}  # fmt: skip
-"""Columns of a frame and of a trajectory that hold the same."""
 
-
-def differing(car: dict[str, Any], run: Any) -> int:
-    """How many steps of a drive of the page differ from one of Python's in any bit of any number that both know."""
-    columns = {name: getattr(run, of) for name, of in SAME.items()} | dict(run.diagnostics) | dict(run.tuning)
-    known = [name for name in car["columns"] if name in columns]
-    assert len(known) >= len(SAME)
-    numbers = car["numbers"]
-    wrong = np.zeros(len(numbers), bool)
-    for name in known:
-        found = np.ascontiguousarray(numbers[:, car["columns"].index(name)])
-        expected = np.asarray(columns[name], dtype=float)[: found.size]
-        assert expected.size == found.size, name
-        both = np.isnan(found) & np.isnan(expected)
-        wrong |= (found.view(np.int64) != expected.view(np.int64)) & ~both
+def differing(car: dict[str, Any], expected: dict[str, np.ndarray]) -> int:
+    """How many steps of a drive of the page differ in any bit from one of Python's: `page_drives.driven`."""
+    found = dict(zip(car["columns"], car["numbers"].T, strict=True))
+    wrong = np.zeros(len(expected["x"]), bool)
+    for name, values in expected.items():
+        here = np.ascontiguousarray(found[name])
+        assert here.size == values.size, name
+        both = np.isnan(here) & np.isnan(values)
+        wrong |= (here.view(np.int64) != values.view(np.int64)) & ~both
     return int(wrong.sum())

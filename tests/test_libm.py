@@ -229,7 +229,7 @@ def test_the_soft_multiply_add_rounds_the_exact_sum_once(rng):
 
 def check_multiply_adds(rng, count):
     """Every soft multiply-add, one number or eight at a time, against the processor's."""
-    soft, whole, eight = exact.soft_fma, exact.whole_fma, exact.soft_fma8
+    soft, whole, eight = exact.soft_fma, exact.careful_fma, exact.soft_fma8
 
     @numba.njit(error_model="numpy")
     def same_float(x, y):

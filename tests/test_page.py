@@ -1,7 +1,6 @@
 """The page on which one drives: one file, opened from anywhere, that drives as Python does."""
 
 import json
-import math
 import re
 import shutil
 import subprocess
@@ -12,11 +11,11 @@ import pytest
 
 import adaptrack as at
 import browser
+import page_drives
 from adaptrack import cli
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
-from adaptrack.export.page_setup import simulate_setup
 from browsers import BROWSERS, Chromium
 from pages import READY, STATE, differing, drive, served
 
@@ -184,32 +183,16 @@ def test_it_begins_with_what_it_was_exported_with(chromium, tmp_path):
 
 
 # -- it drives as Python does -----------------------------------------------------------------------------------------
-def differs(shown, setup, seconds):
-    """Of each car, the steps in which the drive of the page is another than Python's, and all steps."""
-    expected = simulate_setup(setup)
-    period = float(expected[0].t[1] - expected[0].t[0])
-    periods = min(round(seconds / period), *(len(run) for run in expected))
-    found = drive(shown, setup, periods)
-    assert "refused" not in found, found
-    return [(differing(car, run), len(car["numbers"])) for car, run in zip(found["cars"], expected, strict=True)]
+FEW = "informed", "sheet"
+"""Drives that are always compared; all of them where there is time."""
 
 
-BEND = [[10.0 * k, 8.0 * math.sin(k / 4.0)] for k in range(40)]
-TWO = {
-    "road, informed and Stanley": {
-        "car": {"name": "midsize-sedan"}, "road": {"name": "mountain"}, "speed": {"lateral": 3.0}, "profile": "road",
-        "truth": {}, "seed": 1, "controllers": [{"kind": "informed"}, {"kind": "stanley"}],
-    },
-    "a sheet, points, learning": {
-        "car": {"sheet": {"mass": 1300.0, "wheelbase": 2.5}},
-        "road": {"points": BEND, "closed": False, "name": "bend"}, "speed": {"constant": 12.0}, "profile": "production",
-        "truth": {"lag": 0.25, "noise": 1.5}, "seed": 2, "controllers": [{"kind": "learning"}],
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", TWO)
+@pytest.mark.parametrize(
+    "name", [each if each in FEW else pytest.param(each, marks=pytest.mark.slow) for each in page_drives.SETUPS]
+)
 def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(opened, name):
-    found = differs(opened, TWO[name], 20.0)
-    assert [wrong for wrong, _ in found] == [0] * len(found)
-    assert all(count >= 200 for _, count in found)
+    expected = page_drives.driven(name)
+    found = drive(opened, page_drives.SETUPS[name], 4000)
+    assert "refused" not in found, found
+    assert [differing(car, there) for car, there in zip(found["cars"], expected, strict=True)] == [0] * len(expected)
+    assert min(len(car["numbers"]) for car in found["cars"]) > 100

@@ -119,11 +119,13 @@ def test_a_car_from_a_link_is_the_same_or_refused_in_words():
     read = [each["value"] for each in asked([("readCarFile", [text], [{}]) for text in texts])]
     assert [each["value"] for each in asked([("checkedCar", [car], []) for car in read])] == read
     car = read[0]
+    named = asked([("checkedCar", [{**car, "tyre": {"name": "van"}}], [])])[0]["value"]
+    assert named["tyre"] == {"name": "van", "numbers": tyre_numbers(load_tyre("van"))}
     wrong = [
         None, 3, "car", [], {}, {**car, "numbers": None}, {**car, "numbers": {**car["numbers"], "mass": "heavy"}},
         {**car, "numbers": {**car["numbers"], "mass": -1}}, {**car, "steering": 3}, {**car, "domain": {"speed": [9]}},
         {**car, "tyre": {"name": "own", "numbers": {**car["tyre"]["numbers"], "linear": 7}}}, {**car, "tyre": 5},
-        {**car, "tyre": {"numbers": []}}, {**car, "__proto__": {}, "unknown": 1},
+        {**car, "tyre": {"numbers": []}}, {**car, "tyre": {}}, {**car, "tyre": {"name": 3}}, {**car, "__proto__": {}, "unknown": 1},
     ]  # fmt: skip
     for answer in asked([("checkedCar", [each], []) for each in wrong]):
         is_refused_in_words(answer)

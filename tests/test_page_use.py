@@ -244,7 +244,7 @@ def test_a_file_that_is_none_gives_a_sentence_and_never_a_frozen_page(shown, fil
     parts, name = HOSTILE[what]
     notice, longest = shown.run(f"{DROP}({parts}, {json.dumps(name)})")
     assert re.match(r".*\w{3,} .*\w{3,}.*\.$", notice, re.DOTALL), notice
-    assert len(notice) < 400
+    assert len(notice) < 1200
     assert longest < 1000.0
     assert shown.run("adaptrackPage.advance(5)") == 5
 

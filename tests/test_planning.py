@@ -214,6 +214,7 @@ def test_what_lies_along_a_road_is_read_as_it_is_written():
     np.testing.assert_array_equal(linear.at(at), np.interp(at, s, value))
     np.testing.assert_array_equal(steps.at(at), [1.0, 1.0, 1.0, 3.0, 3.0, 2.0, 5.0, 5.0])
     assert linear.at(4.0).shape == ()
+    assert linear.replace(kind="steps") == steps
     fine = np.linspace(-5.0, 50.0, 5501)
     for one, other in itertools.combinations(at.tolist(), 2):
         inside = fine[(fine >= one) & (fine <= other)]

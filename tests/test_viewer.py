@@ -93,7 +93,7 @@ def test_what_is_shown_is_told_in_words(seen, drives):
     assert "at 10.0 m/s" in road
     low, high = (pick(drives[0].offset) for pick in (np.min, np.max))
     assert f"Error at 5.00 s: Informed {e:.3f} m".replace("-", "−") in error
-    assert f"goes from −{-low:.3f} m" in error
+    assert f"Informed: from −{-low:.3f} m at " in error
     assert f"to {high:.3f} m" in error
     assert road in seen["aloud"]
     assert error in seen["aloud"]
@@ -148,6 +148,17 @@ def test_a_belief_is_told_with_its_interval_and_the_truth(live):
     assert {"error", "steering", "moves", "speed", "lag", "horizons"} <= set(live["plots"])
     assert "a 0.200 ± 0.100 s, b 0.200 ± 0.100 s, true 0.300 s" in live["told"]
     assert "a plans 2 moves, the next 0.57°, the largest 1.15° of at most ±1.15°" in live["movesTold"]
+
+
+def test_it_is_told_how_often_the_guard_has_stepped_in(live):
+    assert "Np: 20 periods" in live["guarded"]
+    assert "a: the guard steps in 6 times." in live["guarded"]
+
+
+def test_where_no_motion_is_wanted_the_picture_goes_in_steps(live):
+    glided, stepped = live["times"]
+    assert glided > 4
+    assert 1 <= stepped <= 3
 
 
 def test_ice_lies_on_the_road_where_it_was_laid(live):

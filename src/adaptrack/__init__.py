@@ -165,6 +165,7 @@ _PUBLIC = {
         "Failure",
         "find_failure",
     ),
+    "drive.predicted": ("PredictedPaths",),
     "drive.world": ("Driver",),
     "drive.batch": ("rollout_batch",),
     "drive.simulate": ("rollout", "simulate"),
@@ -319,6 +320,7 @@ if TYPE_CHECKING:
     from adaptrack.drive.failure import Failure, find_failure
     from adaptrack.drive.metrics import Metrics, compute_metrics
     from adaptrack.drive.path_metrics import PathMetrics, PathRecord, path_metrics
+    from adaptrack.drive.predicted import PredictedPaths
     from adaptrack.drive.simulate import rollout, simulate
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.drive.world import Driver
@@ -396,6 +398,7 @@ __all__ = [
     "PathRecord",
     "Perception",
     "Plant",
+    "PredictedPaths",
     "PredictionModel",
     "PreviewLQR",
     "ProcessPlant",

@@ -25,6 +25,21 @@ found.predicted = [a.predicted(50).count, b.predicted(50).count];
 const plan = a.moves(50);
 found.moves = [[...plan.values.slice(0, plan.count)], plan.least, plan.most];
 
+// it glides, or goes in steps
+const instants = async milliseconds => {
+  const seen = new Set(), end = clock.paint(() => seen.add(clock.t));
+  clock.seek(0);
+  clock.play();
+  await new Promise(done => setTimeout(done, milliseconds));
+  clock.pause();
+  end();
+  return seen.size - 1;
+};
+found.times = [await instants(700)];
+clock.reduced = true;
+found.times.push(await instants(1200));
+clock.reduced = false;
+
 // ice, a push, words
 clock.seek(6);
 view.draw();
@@ -36,6 +51,7 @@ at("pointermove", px + 20, py - 30);
 at("pointerup", px + 20, py - 30);
 Object.assign(found, {pushed, scale: view.scale, follows: view.follow});
 found.told = plots.list.find(plot => plot.name === "lag").describe();
+found.guarded = plots.list.find(plot => plot.name === "horizons").describe();
 found.movesTold = plots.list.find(plot => plot.name === "moves").describe();
 
 // a road drawn by hand, and by keyboard

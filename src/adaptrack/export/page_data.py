@@ -23,13 +23,13 @@ from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import size_of
 from adaptrack.core.loop import SIGNAL
-from adaptrack.core.models import single_track
 from adaptrack.core.models import path as path_model
+from adaptrack.core.models import single_track
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.period import Span
-from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
 from adaptrack.core.planning import along, drive, speed
 from adaptrack.core.planning.cells import PLAN
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
@@ -173,7 +173,7 @@ def _test(name: str) -> dict[str, Any]:
     scenario, period = load_scenario(name), 0.05
     signals = scenario.sample(period)
     x = np.concatenate([[0.0], np.cumsum(0.5 * (signals.speed[1:] + signals.speed[:-1]) * period)])
-    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or signals.bank.any():
+    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or np.any(signals.bank):
         raise InvalidInput(f"test {name!r}: has more than the page knows of.")
     return {
         "period": period, "samples": signals.t.size, "y_ref": packed(signals.y_ref), "speed": packed(signals.speed),

@@ -103,8 +103,8 @@ def image(record: Any) -> dict[str, Any]:
 
 
 def _value(kind: Any, value: Any, functions: dict[int, str]) -> Any:
-    if isinstance(value, tuple):
-        return {field: _value(inner, getattr(value, field), functions) for field, inner in value.kinds.items()}
+    if hasattr(kind, "kinds"):
+        return {field: _value(inner, getattr(value, field), functions) for field, inner in kind.kinds.items()}
     if isinstance(kind, Array):
         if not value.tobytes().strip(b"\0"):
             return {"shape": list(value.shape)}

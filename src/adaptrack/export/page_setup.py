@@ -1,6 +1,15 @@
 """What is set up on the page, driven by Python: the same drives to the last bit.
 
-A setup is plain data: car, road, speed, profile, truth, seed, one or two controllers (see `page/engine.js`).
+A setup is plain data for JSON:
+
+    car          {name} of ours | {sheet: {mass, wheelbase, ...}} | {file: a car file as the page has read it}
+    road         {name} of `ROADS` | {points: [[x, y], ...], closed, name} | {test} of `TESTS`
+    speed        {constant: m/s} | {lateral: m/s^2}, planned; a test has its own
+    profile      name; what the controllers are made for
+    truth        {lag, dead_time, bias, noise, friction, wind} where the world differs, else null; noise: a factor
+    seed         of the noise
+    controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}}; with knows: "sheet"
+                 one knows mass and wheelbase of the car, no more
 """
 
 from __future__ import annotations
@@ -33,7 +42,7 @@ TESTS = ("triple-lane-change", "general-trajectory")
 
 def _oval() -> Road:
     radius, into = 80.0, 60.0
-    bend = [Clothoid(length=into, start_curvature=0.0, end_curvature=1.0 / radius),
+    bend: list[Any] = [Clothoid(length=into, start_curvature=0.0, end_curvature=1.0 / radius),
             Arc(length=math.pi * radius - into, curvature=1.0 / radius),
             Clothoid(length=into, start_curvature=1.0 / radius, end_curvature=0.0)]  # fmt: skip
     return Road.from_segments([Line(length=200.0), *bend] * 2, closed=True, name="oval", speed_limit=40.0)
@@ -62,7 +71,8 @@ def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
     drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
     found = []
     for each in setup["controllers"]:
-        batch = Batch(DualTrack(car), controller_of(each, car, profile), [drive], world)
+        known = at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if each.get("knows") == "sheet" else car
+        batch = Batch(DualTrack(car), controller_of(each, known, profile), [drive], world)
         found += rollouts(batch, (int(setup.get("seed", 0)),), threads=1)[0]
     return found
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -56,23 +55,22 @@ class Along(Record):
             kept[1:-1] = (value[:-2] != value[1:-1]) | (value[1:-1] != value[2:])
         return cls(s=tuple(s[kept].tolist()), value=tuple(value[kept].tolist()), kind=kind)
 
-    @cached_property
     def packed(self) -> Any:
-        """The record that `adaptrack.core.planning` reads; read-only."""
+        """The record that `adaptrack.core.planning` reads."""
         return kernel.Along(np.array(self.s), np.array(self.value), int(self.kind == "steps"))
 
     def at(self, s: ArrayLike) -> Array:
         """The values at the arc lengths `s` (m), in the shape of `s`."""
         given = reals("Along.at: s", s)
         found = given.flatten()
-        kernel.along_values(self.packed, found)
+        kernel.along_values(self.packed(), found)
         return np.asarray(found.reshape(given.shape)[()])
 
     def least(self, start: ArrayLike, end: ArrayLike) -> Array:
         """The smallest value between arc lengths `start` and `end`, (n,) each: at the ends and at what lies between."""
         ends = np.stack(np.broadcast_arrays(np.atleast_1d(start), np.atleast_1d(end))).astype(np.float64)
         found = np.empty(ends.shape[1])
-        kernel.along_least(self.packed, ends[0], ends[1], found)
+        kernel.along_least(self.packed(), ends[0], ends[1], found)
         return found
 
     def within(self, allowed: Callable[[Array], NDArray[np.bool_]], what: str) -> None:

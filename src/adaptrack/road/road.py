@@ -239,7 +239,7 @@ class Road:
         """The left and the right edge at the arc lengths `s`: two arrays (..., 2) of x, y (m)."""
         places = reals("Road.edges: s", s)
         edges = np.empty((places.size, 4))
-        left, right = self.width_left.packed, self.width_right.packed
+        left, right = self.width_left.packed(), self.width_right.packed()
         along_kernel.road_edges(self.packed(), left, right, places.flatten(), edges)
         return edges[:, :2].reshape(*places.shape, 2), edges[:, 2:].reshape(*places.shape, 2)
 
@@ -305,8 +305,8 @@ class Road:
 
     def route(self) -> Any:
         """The road with what lies along it as `adaptrack.core.planning` reads it; read-only."""
-        limit = _NO_LIMIT if self.speed_limit is None else self.speed_limit.packed
-        return along_kernel.Route(self.packed(), self.friction.packed, self.bank.packed, limit)
+        limit = _NO_LIMIT if self.speed_limit is None else self.speed_limit.packed()
+        return along_kernel.Route(self.packed(), self.friction.packed(), self.bank.packed(), limit)
 
     # ---- variants
 

@@ -524,7 +524,7 @@ class MPC(Controller):
         """
         y = np.zeros(int(self._mpc.memory[0].Np))
         predict_outputs(0, self._resident, y)
-        return (np.arange(y.size) + 1.0) * self.period + self._delay * self.period, y
+        return np.asarray((np.arange(y.size) + 1.0) * self.period + self._delay * self.period), y
 
     def predicted_path(self, ahead: RoadAhead) -> Array:
         """(Np, 2) m: where the last step, on that road ahead of the car, predicts it behind its dead time."""

@@ -46,7 +46,7 @@ class Exported:
     """How a target is exported.
 
     compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names;
-    kernels: those that are global; whole: a module, not an object.
+    kernels: those that are global; whole: a module, made for speed, not an object.
     """
 
     target: Target
@@ -142,7 +142,7 @@ def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
     if chosen.compact:
         text = text.replace(" alwaysinline", " nounwind")
     text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
-    text = with_soft(text, target, "internal")
+    text = with_soft(text, target, "internal", inlined=chosen.whole)
     if target.lacks:
         kept = ", ".join(f"ptr @{each}" for each in target.lacks)
         text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept}]"

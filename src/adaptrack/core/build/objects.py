@@ -119,7 +119,7 @@ class Reader:
         bits = 7 * (self.at - begin)
         return value - 2**bits if value >> (bits - 1) else value
 
-    def bytes(self) -> bytes:
+    def sized(self) -> bytes:
         """So many as the number says that stands before them."""
         size = self.number()
         self.at += size
@@ -133,12 +133,12 @@ class Reader:
 def _of_wasm(content: bytes) -> set[str]:
     sections, found = Reader(content[8:]), set()
     while sections.at < len(sections.content):
-        kind, section = sections.number(), Reader(sections.bytes())
+        kind, section = sections.number(), Reader(sections.sized())
         if kind != 2:
             continue
         for _ in range(section.number()):
-            section.bytes()
-            name, what = section.bytes().decode(), section.number()
+            section.sized()
+            name, what = section.sized().decode(), section.number()
             if what == 0:  # a function, of a type
                 found.add(name)
                 section.number()

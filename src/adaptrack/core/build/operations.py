@@ -13,7 +13,7 @@ from numba.core import errors as _numba_errors
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from ..maths.bits import LARGEST_USUAL, LEAST_USUAL
+from ..maths.bits import ABOVE_ONE, LARGEST_USUAL, LEAST_USUAL
 from ..maths.vectors import WIDTH
 from .numba_types import array
 
@@ -299,18 +299,20 @@ def to_odd(typingctx, x, rest):
 
 
 @intrinsic
-def usual_size(typingctx, a, b, c, product):
+def usual_sum(typingctx, a, b, c, y, beyond):
     """Whether `soft_fma` may take its short way."""
 
     def codegen(context, builder, signature, args):
-        a, b, _, _ = args
-        sizes = [_absolute(builder, each) for each in args]
+        a, b, c, y, beyond = args
         zero = _filled(a.type, 0.0)
-        total = builder.fadd(builder.fadd(sizes[0], sizes[1]), sizes[2])
+        total = builder.fadd(builder.fadd(_absolute(builder, a), _absolute(builder, b)), _absolute(builder, c))
         small = builder.fcmp_ordered("<", total, _filled(a.type, LARGEST_USUAL))
         nothing = builder.or_(builder.fcmp_ordered("==", a, zero), builder.fcmp_ordered("==", b, zero))
-        large = builder.fcmp_ordered(">=", sizes[3], _filled(a.type, LEAST_USUAL))
+        product = _absolute(builder, builder.fmul(a, b))
+        large = builder.fcmp_ordered(">=", product, _filled(a.type, LEAST_USUAL))
         found = builder.and_(small, builder.or_(large, nothing))
+        further = builder.fadd(y, builder.fmul(beyond, _filled(a.type, ABOVE_ONE)))
+        found = builder.and_(found, builder.fcmp_ordered("==", further, y))
         if not isinstance(a.type, ir.VectorType):
             return found
         wide = builder.sext(found, ir.VectorType(ir.IntType(64), WIDTH))
@@ -318,7 +320,7 @@ def usual_size(typingctx, a, b, c, product):
         declared = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.IntType(64), [wide.type]), name)
         return builder.icmp_signed("!=", builder.call(declared, [wide]), ir.Constant(ir.IntType(64), 0))
 
-    return types.boolean(a, b, c, product), codegen
+    return types.boolean(a, b, c, y, beyond), codegen
 
 
 @intrinsic

@@ -33,7 +33,7 @@ class _Symbol(NamedTuple):
     kind: int
     name: str
     exported: bool
-    index: int
+    number: int
     """of the function, or of the segment in which data lie"""
     offset: int = 0
     """of data in their segment"""
@@ -77,17 +77,17 @@ def _sections(content: bytes) -> Iterator[tuple[int, str, bytes]]:
         raise ValueError("not an object file of WebAssembly")
     reader = Reader(content, 8)
     while reader.at < len(content):
-        kind, body = reader.byte(), reader.bytes()
+        kind, body = reader.byte(), reader.sized()
         own = Reader(body)
-        name = own.bytes().decode() if kind == 0 else ""
+        name = own.sized().decode() if kind == 0 else ""
         yield kind, name, own.rest()
 
 
 def _refuse_imports(body: bytes) -> None:
     reader = Reader(body)
     for _ in range(reader.number()):
-        reader.bytes()
-        name, kind = reader.bytes().decode(), reader.byte()
+        reader.sized()
+        name, kind = reader.sized().decode(), reader.byte()
         if _IMPORTED.get(name) != kind:
             raise ValueError(f"an object that needs {name}")
         if kind == 3:
@@ -104,7 +104,7 @@ def _symbols(body: bytes) -> Iterator[_Symbol]:
     if reader.number() != 2:
         raise ValueError("an object with another version of linking metadata than 2")
     while reader.at < len(body):
-        kind, table = reader.byte(), Reader(reader.bytes())
+        kind, table = reader.byte(), Reader(reader.sized())
         if kind != 8:
             continue
         for _ in range(table.number()):
@@ -115,13 +115,13 @@ def _symbol(table: Reader) -> _Symbol:
     kind, flags = table.byte(), table.number()
     undefined, local, hidden, named = flags & 0x10, flags & 0x02, flags & 0x04, flags & 0x40
     if kind == 1:
-        name = table.bytes().decode()
+        name = table.sized().decode()
         if undefined:
             raise ValueError(f"an object that needs {name}")
         segment, offset, _ = table.number(), table.number(), table.number()
         return _Symbol(kind, name, False, segment, offset)
     index = table.number()
-    name = table.bytes().decode() if kind != 3 and (not undefined or named) else ""
+    name = table.sized().decode() if kind != 3 and (not undefined or named) else ""
     return _Symbol(kind, name, kind == 0 and not (undefined or local or hidden), index)
 
 
@@ -134,7 +134,7 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
         place = reader.number()  # below 2^31
         if reader.byte() != _END:
             raise ValueError("a segment of data at an address that is computed")
-        yield place, reader.bytes()
+        yield place, reader.sized()
 
 
 def _places(data: bytes, base: int) -> tuple[list[int], int]:
@@ -161,14 +161,14 @@ def _relocate(target: bytearray, reader: Reader, symbols: list[_Symbol], segment
         if kind not in _ADDRESSES:
             raise ValueError(f"a relocation of type {kind}")
         size, symbol = _ADDRESSES[kind], symbols[index]
-        address = segments[symbol.index] + symbol.offset + reader.signed()
+        address = segments[symbol.number] + symbol.offset + reader.signed()
         new = struct.pack("<I", address) if kind == 5 else _unsigned(address, 5) if kind == 3 else _signed(address, 5)
         target[at : at + size] = new
 
 
 def _exports(symbols: list[_Symbol]) -> bytes:
     entries = [("memory", 2, 0), ("__indirect_function_table", 1, 0)]
-    entries += [(each.name, 0, each.index) for each in symbols if each.exported]
+    entries += [(each.name, 0, each.number) for each in symbols if each.exported]
     return _unsigned(len(entries)) + b"".join(
         _sized(name.encode()) + bytes([kind]) + _unsigned(index) for name, kind, index in entries
     )

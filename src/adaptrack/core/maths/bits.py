@@ -32,8 +32,8 @@ def float_of(bits: int) -> float:
     return struct.unpack("<d", struct.pack("<Q", bits & 0xFFFFFFFFFFFFFFFF))[0]
 
 
-LARGEST_USUAL, LEAST_USUAL = 2.0**500, 2.0**-960
-"""Of a product's factors and of what is added to it, and of a product, see `usual_size`."""
+LARGEST_USUAL, LEAST_USUAL, ABOVE_ONE = 2.0**500, 2.0**-960, 1.0 + 2.0**-52
+"""Of a product's factors and of what is added to it, of a product, and the float above 1, see `usual_sum`."""
 
 
 def _bits(x: Any) -> Any:
@@ -59,10 +59,13 @@ def to_odd(x: Any, rest: Any) -> Any:
 
 @primitive
 @np.errstate(all="ignore")
-def usual_size(a: Any, b: Any, c: Any, product: Any) -> bool:
-    """Whether |a| + |b| + |c| < 2^500, and |product| >= 2^-960 or a or b is zero; of eight numbers each: of all."""
-    small = np.abs(a) + np.abs(b) + np.abs(c) < LARGEST_USUAL
-    return bool(np.all(small & ((np.abs(product) >= LEAST_USUAL) | (np.equal(a, 0.0) | np.equal(b, 0.0)))))
+def usual_sum(a: Any, b: Any, c: Any, y: Any, beyond: Any) -> bool:
+    """Whether |a| + |b| + |c| < 2^500, |a b| >= 2^-960 or a or b is zero, and y + beyond, which is exact, not halfway
+    from y to the next float; of eight numbers each: of all.
+    """
+    near = (np.abs(a) + np.abs(b) + np.abs(c) < LARGEST_USUAL) & np.equal(y + beyond * ABOVE_ONE, y)
+    product = np.abs(np.multiply(a, b)) >= LEAST_USUAL
+    return bool(np.all(near & (product | (np.equal(a, 0.0) | np.equal(b, 0.0)))))
 
 
 @inlined

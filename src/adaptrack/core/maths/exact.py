@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ..kernel import exported, float64, inlined, primitive, vector, void
-from .bits import bits_of, left, negative, right, scaled, to_odd, upper_half, usual_size
+from .bits import bits_of, left, negative, right, scaled, to_odd, upper_half, usual_sum
 from .vectors import WIDTH, load, store
 
 _FRACTION = 2**52 - 1
@@ -209,48 +209,68 @@ def whole_fma(a: float, b: float, c: float) -> float:
 
 
 @inlined
-def _usual(a, b, c):
-    """Whether `_fused` holds: nothing is so large that it overflows, or so small that digits of a b underflow."""
-    return usual_size(a, b, c, a * b)
+def _exact_parts(a, b, c):
+    """(s, rest, low) with a b + c = s - (rest + low), of floats or of eight at a time.
 
-
-@inlined
-def _fused(a, b, c):
-    """a b + c, rounded once, of floats or of eight at a time; where a number is none, NaN.
-
-    The product is p - low, and the sum of p and c is s - rest, all four exact (T. J. Dekker, A floating-point technique
-    for extending the available precision, 1971; D. E. Knuth, The Art of Computer Programming 2, section 4.2.2). What is
-    left, rest + low, is rounded to odd, so that taking it off s rounds as the exact difference does (S. Boldo and
-    G. Melquiond, Emulation of a FMA and correctly rounded sums, 2008): either `rest` is zero, or it and `low` are below
-    2^-51 s. Zeros of what is taken off are positive, so that s keeps its sign.
+    The product is p - low, and the sum of p and c is s - rest, all exact (T. J. Dekker, A floating-point technique for
+    extending the available precision, 1971; D. E. Knuth, The Art of Computer Programming 2, section 4.2.2). Either
+    `rest` is zero, or it and `low` are below 2^-51 s. Where they are zero they are positive, so that s, less them,
+    keeps its sign.
     """
     p = a * b
     a1, b1 = upper_half(a), upper_half(b)
     a0, b0 = a - a1, b - b1
-    low = (((p - a1 * b1) - a1 * b0) - a0 * b1) - a0 * b0
     s = p + c
     c1 = s - p
-    rest = ((s - c1) - p) + (c1 - c)
+    return s, ((s - c1) - p) + (c1 - c), (((p - a1 * b1) - a1 * b0) - a0 * b1) - a0 * b0
+
+
+@inlined
+def _rounded_to_odd(a, b, c):
+    """a b + c, rounded once: what is left of the sum, rounded to odd, is taken off it (S. Boldo and G. Melquiond,
+    Emulation of a FMA and correctly rounded sums, 2008).
+    """
+    s, rest, low = _exact_parts(a, b, c)
     left_over = rest + low
     low1 = left_over - rest
     return s - to_odd(left_over, (rest - (left_over - low1)) + (low - low1))
 
 
+@inlined
+def _fused(a, b, c):
+    """(a b + c, rounded once; whether it is sure), of floats or of eight at a time: then of all.
+
+    It is not where something overflows or digits underflow. Nor where what is left of the sum, rounded, makes it lie
+    halfway between two floats: what that rounding lost, which is less than its last digit, then decides.
+    """
+    s, rest, low = _exact_parts(a, b, c)
+    left_over = rest + low
+    y = s - left_over
+    return y, usual_sum(a, b, c, y, (s - y) - left_over)
+
+
+@exported(float64(float64, float64, float64))
+def careful_fma(a: float, b: float, c: float) -> float:
+    """`soft_fma`, for every argument: mostly not the fastest way."""
+    return _rounded_to_odd(a, b, c) if usual_sum(a, b, c, 0.0, 0.0) else whole_fma(a, b, c)
+
+
 @exported(float64(float64, float64, float64))
 def soft_fma(a: float, b: float, c: float) -> float:
     """a b + c, rounded once to the nearest, ties to even: what IEEE 754 (2008, section 5.4.1) asks of `fma`."""
-    return _fused(a, b, c) if _usual(a, b, c) else whole_fma(a, b, c)
+    y, sure = _fused(a, b, c)
+    return y if sure else careful_fma(a, b, c)
 
 
 @exported(void(vector, vector, vector, vector))
 def soft_fma8(a, b, c, answer):
     """`soft_fma` of eight numbers each."""
-    x, y, z = load(a, 0), load(b, 0), load(c, 0)
-    if _usual(x, y, z):
-        store(answer, 0, _fused(x, y, z))
+    y, sure = _fused(load(a, 0), load(b, 0), load(c, 0))
+    if sure:
+        store(answer, 0, y)
     else:
         for i in range(WIDTH):
-            answer[i] = soft_fma(a[i], b[i], c[i])
+            answer[i] = careful_fma(a[i], b[i], c[i])
 
 
 @exported(float64(float64))

@@ -142,10 +142,12 @@ async function start(setup, {playing = null, keepNotice = false} = {}) {
 }
 
 // Null where another drive was asked for meanwhile.
+let beginning = 0;  // drives that were asked for: meanwhile none goes on, as its frames would be the next one's
+
 async function begun(setup, number, plays) {
   const engine = await engineOfPage();
-  if (page.drive) page.drive.replaced = true;  // what is asked from here on would be asked of the next one
-  const started = await engine.ask({type: "start", setup});
+  beginning++;
+  const started = await engine.ask({type: "start", setup}).finally(() => { beginning--; });
   if (number !== asked) return null;
   page.setup = setup;
   page.drive = beginDrive(started);
@@ -159,7 +161,7 @@ async function begun(setup, number, plays) {
 function beginDrive(started) {
   const history = makeHistory(started, {top: 0.5, shades: TRAIL});
   history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
-  return {started, history, busy: false, over: false, replaced: false, touches: []};
+  return {started, history, busy: false, over: false, touches: []};
 }
 
 const WHERE = {
@@ -176,7 +178,7 @@ function refused(error, setup) {
 
 async function advance(periods) {
   const {drive} = page;
-  if (!drive || drive.over || drive.replaced) return 0;
+  if (!drive || drive.over || beginning) return 0;
   drive.busy = true;
   try {
     const frames = await page.engine.ask({type: "advance", periods});
@@ -214,7 +216,7 @@ function takeFrames(history, frames) {
 // Before each picture: what will be shown soon is asked for.
 function driveAhead(now, clock) {
   const {drive} = page;
-  if (!drive || drive.busy || drive.over || drive.replaced) return;
+  if (!drive || drive.busy || drive.over) return;
   const {period} = drive.history;
   const lead = !clock.playing ? LEAST_AHEAD * period
     : clock.rate === Infinity ? Infinity
@@ -243,7 +245,7 @@ async function advanceBy(periods) {
 // what: as in the engine's message; said: the event in words, {key} joins the touches of one gesture.
 async function change(car, what, {text, key = null} = {}) {
   const {drive, clock} = page;
-  if (!drive || drive.replaced) return;
+  if (!drive || beginning) return;
   if (drive.over) {  // the drive is over: what was touched acts on the next one
     if (page.driveOver === drive) return;
     page.driveOver = drive;

@@ -5,14 +5,15 @@
 //   -> {type: "start", id, setup}                <- {type: "started", id, period, duration, laps, road, cars, plan}
 //   -> {type: "advance", id, periods}            <- {type: "frames", id, first, count, cars}
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
-//   -> {type: "read", id, what, text, name}      <- {type: "read", id, what, ...}      what: "car file" or "csv", see inputs.js
+//   -> {type: "read", id, what, text, name}     <- {type: "read", id, what, ...}; what: "car file", "csv": see inputs.js
 //   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
 //   -> {type: "memory", id}                      <- {type: "memory", id, bytes, all}
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
 // A frame of a car is a row of numbers (`columns` of "started" name them), the predicted path as x, y in turn, and the
 // planned moves; a car whose drive has ended gives no more of them and says why. What is changed acts from the next
-// instant on; car: 0, 1, or null for all. The drive that a new one replaces is forgotten; nothing that was posted is kept.
+// instant on; car: 0, 1, or null for all; friction, wind and ice are of the road, thus the same for all. The drive that
+// a new one replaces is forgotten; nothing that was posted is kept.
 "use strict";
 
 /** What a user can mend, in words; where: "car", "road", "speed", "profile", "truth", "controller 1", ... */
@@ -36,33 +37,42 @@ function load({ kernels, data }) {
 
 // -- a drive ----------------------------------------------------------------------------------------------------------
 function start({ id, setup }) {
-  end();
   const made = { setup, owned: [], cars: [], done: 0 };
   try {
     owning(made.owned, () => begin(made, setup));
-  } finally {
-    drive = made; // what there is of it
-    if (!made.begun) end();
+  } catch (error) { // the drive under way goes on
+    end(made);
+    throw error;
   }
+  end(drive);
+  drive = made;
   return [owning(made.owned, () => started(id, made))];
 }
 
 function begin(made, setup) {
   const asked = setup?.controllers;
-  if (!Array.isArray(asked) || asked.length < 1 || asked.length > MOST_CARS) throw new Refusal("controller 1", "Choose one or two controllers.");
+  if (!Array.isArray(asked) || asked.length < 1 || asked.length > MOST_CARS)
+    throw new Refusal("controller 1", "Choose one or two controllers.");
   const seed = Number(setup.seed ?? 0);
-  if (!(Number.isSafeInteger(seed) && seed >= 0)) throw new Refusal("seed", `The seed is ${setup.seed}: it must be a whole number of at least 0.`);
+  if (!(Number.isSafeInteger(seed) && seed >= 0))
+    throw new Refusal("seed", `The seed is ${setup.seed}: it must be a whole number of at least 0.`);
   const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
   const samples = samplesOf(setup, of, car, world);
   Object.assign(made, { world, car, of, samples, seed });
   asked.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
-  made.begun = true;
 }
 
 /** A car of its own with its controller, before its first instant. */
 function carRun(entry, made, where) {
   const { world, car, samples } = made, actuator = copied("synthesis.plant.Actuator", world.actuator.$numbers);
-  const own = { entry: { ...entry }, where, world: { ...world, settings: { ...world.settings }, actuator }, sensors: {}, made: [], shown: null };
+  const own = {
+    entry: { ...entry },
+    where,
+    world: { ...world, settings: { ...world.settings }, actuator },
+    sensors: {},
+    made: [],
+    shown: null,
+  };
   made.cars.push(own);
   own.plant = plantOf(car, own.world, topSpeedOf(samples));
   own.measured = mine(memory.array("F", [written.sizes.measured]));
@@ -87,7 +97,10 @@ function ready(own, controller, made) {
 
 function topSpeedOf({ signals }) {
   const [, count] = signals.shape;
-  return view(signals, written.places.signal.speed * count, [count]).values.reduce((most, each) => Math.max(most, each), 0);
+  return view(signals, written.places.signal.speed * count, [count]).values.reduce(
+    (most, each) => Math.max(most, each),
+    0,
+  );
 }
 
 /** All that a run is made of. */
@@ -100,32 +113,56 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
   const counts = {
     ...parts.counts,
     loop: {
-      slots: 1, parameters: sizes.parameters, states: sizes.own_states, scenarios: 1, samples: count, roads: size(roads.numbers),
+      slots: 1,
+      parameters: sizes.parameters,
+      states: sizes.own_states,
+      scenarios: 1,
+      samples: count,
+      roads: size(roads.numbers),
       starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
-      dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1, past: world.remembered,
+      dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
+      past: world.remembered,
     },
-    ...(schedule ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) } : {}),
+    ...(schedule
+      ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) }
+      : {}),
   };
   return runOfSizes(parts.settings, counts, {
     settings: settingsOf(car, world, plant.substeps),
-    features: { late: world.remembered > 0 ? 1 : 0, variables: schedule ? 1 : 0, estimates: 0, traces: 0, law: law ? 1 : 0 },
-    vehicles: { advance: linked(plant.functions.advance), observe: linked(plant.functions.observe), member: 0, parameters: share(plant.parameters), start: first },
+    features: {
+      late: world.remembered > 0 ? 1 : 0,
+      variables: schedule ? 1 : 0,
+      estimates: 0,
+      traces: 0,
+      law: law ? 1 : 0,
+    },
+    vehicles: {
+      advance: linked(plant.functions.advance),
+      observe: linked(plant.functions.observe),
+      member: 0,
+      parameters: share(plant.parameters),
+      start: first,
+    },
     given: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
     measured: share(measured), ceiling: [NaN], mpc: { ...parts.values.mpc, measured: share(measured) },
-    functions: controller.known.functions ? { discretise: linked(controller.known.functions.discretise), estimate: linked(controller.known.functions.estimate) } : {},
+    functions: controller.known.functions
+      ? {
+          discretise: linked(controller.known.functions.discretise),
+          estimate: linked(controller.known.functions.estimate),
+        }
+      : {},
     law: parts.values.law, schedule: schedule ?? written.no_schedule, tuning: controller.tuning,
   });
 }
 const linked = (name) => ({ function: name });
 const NO_ROAD = { of: [-1n] };
 
-function end() {
-  for (const own of drive?.cars ?? []) {
+function end(ended) {
+  for (const own of ended?.cars ?? []) {
     [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
     forget(own.made);
   }
-  if (drive) forget(drive.owned);
-  drive = null;
+  if (ended) forget(ended.owned);
 }
 
 function started(id, { world, of, samples, cars, car }) {
@@ -134,8 +171,16 @@ function started(id, { world, of, samples, cars, car }) {
     type: "started", id, period: world.period, duration, laps, road: drawn(of),
     plan: plan && { s: plan.s.values.slice(), speed: plan.speed.values.slice() },
     cars: cars.map((own) => ({
-      name: own.entry.kind, words: own.controller.known.words, columns: own.columns, horizon: own.horizon, moves: own.moves,
-      outline: car.outline, limits: limitsOf(own), tuning: namedTuning(own), belief: beliefOf(own), truth: truthOf(own.world),
+      name: own.entry.kind,
+      words: own.controller.known.words,
+      columns: own.columns,
+      horizon: own.horizon,
+      moves: own.moves,
+      outline: car.outline,
+      limits: limitsOf(own),
+      tuning: namedTuning(own),
+      belief: beliefOf(own),
+      truth: truthOf(own.world),
     })),
   };
 }
@@ -145,7 +190,8 @@ function limitsOf(own) {
   const { known, law } = own.controller, from = law ? known.common : own.run.mpc.settings;
   return { move: real(from.move_max), angle: real(from.angle_max), Np: own.horizon, Nc: own.moves };
 }
-const namedTuning = (own) => Object.fromEntries(own.controller.known.tuning_names.map((name, k) => [name, own.controller.tuning[k]]));
+const namedTuning = (own) =>
+  Object.fromEntries(own.controller.known.tuning_names.map((name, k) => [name, own.controller.tuning[k]]));
 /** What a controller believes of the steering at first: lag, dead time (s); null where it does not say. */
 function beliefOf({ controller }) {
   if (!controller.parts) return null;
@@ -159,7 +205,9 @@ const truthOf = ({ actuator }) => ({ lag: actuator.lag, dead_time: actuator.dead
 function room(own, count) {
   if ((own.shown?.[0].shape[0] ?? 0) >= count) return own.shown;
   (own.shown ?? []).forEach((each) => memory.free(each));
-  return (own.shown = [own.columns.length, 2 * own.horizon, own.moves].map((width) => memory.array("F", [count, width])));
+  return (own.shown = [own.columns.length, 2 * own.horizon, own.moves].map((width) =>
+    memory.array("F", [count, width]),
+  ));
 }
 
 function advance({ id, periods }) {
@@ -180,28 +228,43 @@ function advanceCar(own, count) {
   let driven = 0;
   while (driven < count) {
     const wanted = Math.min(count - driven, pulledFor(own));
-    const more = memory.call("drive_and_show", wanted, own.span, own.run, below(numbers, driven), below(predicted, driven), below(moves, driven));
+    const more = memory.call(
+      "drive_and_show",
+      wanted,
+      own.span,
+      own.run,
+      below(numbers, driven),
+      below(predicted, driven),
+      below(moves, driven),
+    );
     driven += more;
     afterPull(own, more);
     if (more < wanted) break;
   }
   const cut = (block) => block.values.slice(0, driven * block.shape[1]);
   return {
-    count: driven, numbers: cut(numbers), predicted: new Float32Array(cut(predicted)), moves: new Float32Array(cut(moves)),
+    count: driven,
+    numbers: cut(numbers),
+    predicted: new Float32Array(cut(predicted)),
+    moves: new Float32Array(cut(moves)),
     ended: ending(own),
   };
 }
 /** The rows of a table from one on. */
 const below = (block, row) => view(block, row * block.shape[1], [block.shape[0] - row, block.shape[1]]);
 
-const ENDINGS = ["It came to the end.", "It left the road.", "It spun.", "Its motion is no number any more.",
-  "It never came near the road.", "It was stopped."];
+const ENDINGS = [null, "it left the road", "it spun", "its motion is no number any more", "it never came near the road",
+  "it was stopped"];
 
-/** Why and when a car has ended; null while it drives. */
+/** When a car has ended, and why: null at the end of its road; null while it drives. */
 function ending({ run, span }) {
   const own = run.memory.own.row(0);
   if (own.ended === 0 && own.instant < span.periods) return null;
-  return { at: own.ended === 0 ? span.periods * run.settings.period : own.ended_at, why: ENDINGS[own.ended], kind: own.ended };
+  return {
+    at: own.ended === 0 ? span.periods * run.settings.period : own.ended_at,
+    why: ENDINGS[own.ended],
+    kind: own.ended,
+  };
 }
 
 // -- touching ---------------------------------------------------------------------------------------------------------
@@ -221,10 +284,12 @@ const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors };
 function tuning(cars, given) {
   for (const own of cars) {
     const { controller, where } = own;
-    if (controller.schedule) throw new Refusal(where, "Its schedule chooses the tuning of this controller at every instant.");
+    if (controller.schedule)
+      throw new Refusal(where, "Its schedule chooses the tuning of this controller at every instant.");
     if (controller.law) throw new Refusal(where, "This controller has no horizons and weights.");
     const [Np, Nc, Q, R] = checkedTuning({ ...namedTuning(own), ...given }, where);
-    if (Np > own.horizon || Nc > own.moves) throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${own.horizon} and ${own.moves}.`);
+    if (Np > own.horizon || Nc > own.moves)
+      throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${own.horizon} and ${own.moves}.`);
     controller.tuning = [Np, Nc, Q, R];
     own.run.tuning.values.set(controller.tuning);
   }
@@ -276,8 +341,9 @@ function truth(cars, given) {
     changeTruth(own.world, given);
     applyTruth(own, before);
   }
-  if ("friction" in given) everywhere(WHEELS, "known_friction", given.friction, "friction");
-  if ("wind" in given) everywhere(["wind_y"], "known_wind", given.wind, "wind");
+  if ("friction" in given) everywhere(FRICTION, given.friction, "friction");
+  if ("wind" in given) everywhere(WIND, given.wind, "wind");
+  layIce();
 }
 function applyTruth(own, lagBefore) {
   const { run, plant } = own, settings = settingsOf(drive.car, own.world, plant.substeps);
@@ -290,24 +356,32 @@ function applyTruth(own, lagBefore) {
   if (!(lagBefore > 0) && settings.steering_lag > 0) setState(own, "steering", angle);
 }
 
-/** Values of signals from now on, for all cars: as they were planned where null is given. */
-function everywhere(rows, known, value, name) {
-  const [, count] = drive.samples.signals.shape, { signal } = written.places;
+/** A row of the samples, and what was planned for it. */
+function sampled(row) {
+  const { signals } = drive.samples, [, count] = signals.shape;
+  const { values } = view(signals, written.places.signal[row] * count, [count]);
   drive.planned ??= {};
-  const put = (row) => {
-    const target = view(drive.samples.signals, signal[row] * count, [count]).values;
-    drive.planned[row] ??= target.slice();
-    if (value === null) target.set(drive.planned[row]);
-    else target.fill(checked("truth", name, value));
-  };
-  [...rows, known].forEach(put);
+  drive.planned[row] ??= values.slice();
+  return values;
 }
+
+/** Another value of samples, for all cars: as they were planned where null is given. */
+function everywhere(rows, value, name) {
+  const wanted = value === null ? null : checked("truth", name, value);
+  for (const row of rows) {
+    const values = sampled(row);
+    if (wanted === null) values.set(drive.planned[row]);
+    else values.fill(wanted);
+  }
+}
+const FRICTION = [...WHEELS, "known_friction"], WIND = ["wind_y", "known_wind"];
 
 const inBlock = (row) => row * written.places.slots;
 const setState = (own, name, value) => (own.run.vehicles.block.values[inBlock(written.places.state[name])] = value);
 const stateOf = (own, name) => own.run.vehicles.block.values[inBlock(written.places.state[name])];
 /** Where the wheels of a car without lag are: at the command that acts. */
-const wheelAngle = (own) => own.run.vehicles.block.values[inBlock(written.places.states + written.places.input.command)];
+const wheelAngle = (own) =>
+  own.run.vehicles.block.values[inBlock(written.places.states + written.places.input.command)];
 
 function push(cars, { vy = 0, yaw_rate = 0 }) {
   const pushed = { vy: checked("push", "vy", vy), yaw_rate: checked("push", "yaw_rate", yaw_rate) };
@@ -335,20 +409,30 @@ function afterPull(own, driven) {
 /** A patch of ice between two stations (m) of the road, on every lap. */
 function ice(cars, { from, to, friction }) {
   if (drive.of.test) throw new Refusal("ice", "The paper's tests have no stations: lay ice on a road.");
-  const { length, closed } = drive.of, slippery = checked("ice", "friction", friction);
-  if (!(from >= 0 && to > from && to <= length)) throw new Refusal("ice", `The ice lies from ${from} to ${to} m: it must lie on the road, 0 to ${length.toFixed(1)} m.`);
-  const { signals } = drive.samples, [, count] = signals.shape, { signal } = written.places;
-  const row = (name) => view(signals, signal[name] * count, [count]).values, station = row("station");
-  const rows = [...WHEELS, "known_friction"].map(row);
-  for (let k = 0; k < count; k++) {
-    const place = closed ? station[k] % length : station[k];
-    if (place >= from && place <= to) for (const each of rows) each[k] = slippery;
+  const { length } = drive.of, slippery = checked("ice", "friction", friction);
+  if (!(from >= 0 && to > from && to <= length)) {
+    const on = `it must lie on the road, 0 to ${length.toFixed(1)} m`;
+    throw new Refusal("ice", `The ice lies from ${from} to ${to} m: ${on}.`);
   }
+  (drive.ice ??= []).push({ from, to, friction: slippery });
+  layIce();
+}
+
+/** Lay all patches on what the friction is else. */
+function layIce() {
+  if (!drive.ice) return;
+  const { length, closed } = drive.of, station = sampled("station"), rows = FRICTION.map(sampled);
+  station.forEach((s, k) => {
+    const place = closed ? s % length : s;
+    for (const { from, to, friction } of drive.ice)
+      if (place >= from && place <= to) for (const row of rows) row[k] = friction;
+  });
 }
 
 const SENSORS = ["vy", "yaw", "yaw_rate", "y", "wheel_angle", "lateral_acceleration"];
 function sensors(cars, given) {
-  for (const name of Object.keys(given)) if (!SENSORS.includes(name)) throw new Refusal("sensors", `There is no sensor “${name}”.`);
+  for (const name of Object.keys(given))
+    if (!SENSORS.includes(name)) throw new Refusal("sensors", `There is no sensor “${name}”.`);
   for (const own of cars) {
     for (const [name, on] of Object.entries(given)) {
       if (on) delete own.sensors[name];
@@ -360,7 +444,8 @@ function sensors(cars, given) {
 
 // -- reading and writing ----------------------------------------------------------------------------------------------
 const READERS = {
-  "car file": ({ text, name }) => ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name })) }),
+  "car file": ({ text, name, others }) =>
+    ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name, others })) }),
   csv: ({ text, name, closed }) => {
     const { points, ...road } = readBy("road", () => inputs.readPoints(text, written.inputs, { name, closed }));
     return { ...road, points: Array.from({ length: points.length / 2 }, (_, k) => [points[2 * k], points[2 * k + 1]]) };
@@ -385,12 +470,27 @@ const ANSWERS = { load, start, advance, change, read, write, memory: used };
 
 function answers(message) {
   const answer = ANSWERS[message?.type];
-  if (!answer) return [{ type: "refused", id: message?.id, message: `Nothing is known of a message “${message?.type}”.`, where: "engine" }];
+  if (!answer)
+    return [
+      {
+        type: "refused",
+        id: message?.id,
+        message: `Nothing is known of a message “${message?.type}”.`,
+        where: "engine",
+      },
+    ];
   try {
     return answer(message);
   } catch (error) {
     const known = error instanceof Refusal;
-    return [{ type: "refused", id: message.id, message: known ? error.message : `The engine failed: ${error.message}`, where: known ? error.where : "engine" }];
+    return [
+      {
+        type: "refused",
+        id: message.id,
+        message: known ? error.message : `The engine failed: ${error.message}`,
+        where: known ? error.where : "engine",
+      },
+    ];
   }
 }
 

@@ -399,7 +399,7 @@ const inputs = (() => {
   function checkedCar(car, given) {
     const table = tableOf({ ...car, ...car?.numbers }), tyre = table.get("tyre")?.value;
     for (const key of ["numbers", "name"]) table.delete(key);
-    if (tyre instanceof Map) table.set("tyre", { ...table.get("tyre"), value: keysOfTyre(tyre, given) });
+    if (tyre instanceof Map) table.set("tyre", keysOfTyre(tyre, given));
     return carOfTable(table, given, typeof car?.name === "string" ? car.name : "car", {});
   }
 
@@ -420,16 +420,18 @@ const inputs = (() => {
     return { value, line: null, text: shown(value) };
   }
 
-  /** A tyre's row by the keys of its file. */
+  /** A tyre's row as a section with the keys of its file; its name where it has no numbers of its own. */
   function keysOfTyre(tyre, given) {
     const rows = tyre.get("numbers")?.value, found = new Map([...tyre].filter(([key]) => key === "name"));
-    if (!(rows instanceof Map)) return found;
+    const section = { value: found, line: null, text: "a section" };
+    if (!(rows instanceof Map)) return (rows === undefined && tyre.get("name")) || section;
     for (const field of given.sections.tyre) {
       const node = rows.get(field.row);
       if (node && field.kind === "number") found.set(field.key, node);
-      if (node && field.kind === "choice") found.set(field.key, { ...node, value: field.words[node.value] ?? node.value });
+      const word = node && field.kind === "choice" ? field.words[node.value] ?? node.value : null;
+      if (word !== null) found.set(field.key, { ...node, value: word });
     }
-    return found;
+    return section;
   }
 
   function withoutSection(table, key) {
@@ -786,7 +788,7 @@ const inputs = (() => {
   }
 
   return {
-    InputError, readCarFile, checkedCar, readSheet, carOfSheet, readPoints, writeDrive, tooLarge, textOf, carFlaw, outlineFlaw,
-    sheetFlaw, roadFlaw,
+    InputError, readCarFile, checkedCar, readSheet, carOfSheet, readPoints, writeDrive, tooLarge, textOf,
+    carFlaw, outlineFlaw, sheetFlaw, roadFlaw,
   };
 })();

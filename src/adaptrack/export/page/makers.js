@@ -61,9 +61,13 @@ const vectorOf = (values) => mine(memory.array("F", [values.length], Float64Arra
 /** A car of ours by its name, a sheet as it is typed, or a file as `inputs.readCarFile` gives it. */
 function carOf(given) {
   if (given?.sheet) return carOfSheet(given.sheet);
-  if (given?.file) return carOfFile(given.file);
+  if (given?.file) return carOfFile(readBy("car", () => inputs.checkedCar(given.file, written.inputs)));
   const known = written.cars[given?.name];
-  if (!known) throw new Refusal("car", `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`);
+  if (!known)
+    throw new Refusal(
+      "car",
+      `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`,
+    );
   return carOfFile(known);
 }
 
@@ -82,32 +86,37 @@ const refuseFlaw = (where, flaw) => {
 
 function carOfSheet(typed) {
   const sheet = readBy("car", () => inputs.readSheet(typed, written.inputs));
-  const row = copied("synthesis.car.Car", { ...sheet.known, mass: sheet.mass }), within = copied("synthesis.car.KnownWithin");
+  const row = copied("synthesis.car.Car", { ...sheet.known, mass: sheet.mass }),
+    within = copied("synthesis.car.KnownWithin");
   const status = memory.call("complete_car", sheet.wheelbase, sheet.load, sheet.truck, row, within);
   refuseFlaw("car", inputs.sheetFlaw(status, sheet, written.inputs));
   return carOfRows(inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within);
 }
 
-/** A car with all its sections: what a link leaves out is as in a car file that does not say it. */
-function complete(car) {
-  const { sections, tyres } = written.inputs, tyre = car.tyre?.name ?? sections[""].find(({ key }) => key === "tyre").default;
-  const domain = Object.fromEntries(sections.domain.map((each) => [each.key, car.domain?.[each.key] ?? each.default]));
-  if (!car.tyre?.numbers && !tyres[tyre]) throw new Refusal("car", `There is no tyre named “${tyre}”: choose one of ${Object.keys(tyres).join(", ")}.`);
-  return { body: {}, steering: {}, known_within: null, numbers: {}, ...car, domain, tyre: { name: tyre, numbers: car.tyre?.numbers ?? tyres[tyre] } };
+/** What a controller knows of a car: all of it, or, where it knows the sheet, its mass and wheelbase. */
+function carKnownTo(entry, car) {
+  if (entry?.knows !== "sheet") return car;
+  const { mass, lf, lr } = car.rows.car;
+  return carOfSheet({ mass, wheelbase: lf + lr });
 }
 
-function carOfFile(given) {
-  const car = complete(given);
+function carOfFile(car) {
   const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
   const [flaw, ratio] = memory.call("car_flaw", row);
-  refuseFlaw("car", inputs.carFlaw(flaw, ratio, car, memory.call("static_loads", row.mass, row.lf, row.lr), written.inputs));
+  refuseFlaw(
+    "car",
+    inputs.carFlaw(flaw, ratio, car, memory.call("static_loads", row.mass, row.lf, row.lr), written.inputs),
+  );
   return carOfRows(car, row, within);
 }
 
 function carOfRows(car, row, within) {
   const rows = {
-    car: row, within, file: copied("synthesis.car.Steering", car.steering), chassis: copied("synthesis.plant.Chassis", car.numbers),
+    car: row,
+    within,
+    file: copied("synthesis.car.Steering", car.steering),
+    chassis: copied("synthesis.plant.Chassis", car.numbers),
     tyre: copied("synthesis.plant.Tyre", car.tyre.numbers), body: copied("synthesis.plant.Body", car.body),
   };
   const outline = copied("synthesis.plant.Outline"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
@@ -116,7 +125,13 @@ function carOfRows(car, row, within) {
   memory.call("outline_of", rows.body, rows.chassis, outline);
   const plain = mine(memory.array("F", [written.sizes.parameters]));
   memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", written.ideal), plain);
-  return { name: car.name, rows, plain, domain: car.domain, outline: { ...outline.$numbers, lf, lr, track_front, track_rear } };
+  return {
+    name: car.name,
+    rows,
+    plain,
+    domain: car.domain,
+    outline: { ...outline.$numbers, lf, lr, track_front, track_rear },
+  };
 }
 
 // -- world ------------------------------------------------------------------------------------------------------------
@@ -124,7 +139,11 @@ const STEERING = ["lag", "dead_time", "bias"];
 
 function worldOf(name, truth) {
   const known = written.profiles[name];
-  if (!known) throw new Refusal("profile", `There is no profile named “${name}”: choose one of ${Object.keys(written.profiles).join(", ")}.`);
+  if (!known)
+    throw new Refusal(
+      "profile",
+      `There is no profile named “${name}”: choose one of ${Object.keys(written.profiles).join(", ")}.`,
+    );
   const { period, delay, remembered, plants } = known;
   const world = {
     name, period, delay, remembered, plants, usual: known.settings, sees_vy: real(known.settings.noise_vy) < Infinity,
@@ -174,8 +193,14 @@ function roadOf(given) {
   if (given?.test !== undefined) return testOf(given.test);
   if (Array.isArray(given?.points)) return roadThrough(given);
   const known = written.roads[given?.name];
-  if (!known) throw new Refusal("road", `There is no road named “${given?.name}”: choose one of ${Object.keys(written.roads).join(", ")}.`);
-  const arrays = ["numbers", "start", "pieces"].map((name) => mine(memory.array("F", known[name].shape, unpackedNumbers(known[name].f8))));
+  if (!known)
+    throw new Refusal(
+      "road",
+      `There is no road named “${given?.name}”: choose one of ${Object.keys(written.roads).join(", ")}.`,
+    );
+  const arrays = ["numbers", "start", "pieces"].map((name) =>
+    mine(memory.array("F", known[name].shape, unpackedNumbers(known[name].f8))),
+  );
   const numbers = view(arrays[0], 0, [written.sizes.road_numbers]);
   const headings = mine(memory.array("F", [memory.call("heading_count", numbers)]));
   return road({ ...known, name: given.name }, numbers, arrays[1], arrays[2], headings, true);
@@ -185,11 +210,24 @@ function roadOf(given) {
 const view = (block, first, shape) => new Block(memory, block.at + WORD * first, "F", shape);
 
 function road(said, numbers, start, pieces, headings, fresh) {
-  const line = mine(memory.make("road.Centreline", { start: share(start), pieces: share(pieces), numbers: share(view(numbers, 0, [4])) }));
+  const line = mine(
+    memory.make("road.Centreline", {
+      start: share(start),
+      pieces: share(pieces),
+      numbers: share(view(numbers, 0, [4])),
+    }),
+  );
   if (fresh) memory.call("headings_along", line, headings);
   const { name, width_left, width_right, speed_limit, friction } = said;
   return {
-    name, line, width_left, width_right, speed_limit, friction, closed: numbers.values[1] > 0.5, length: numbers.values[0],
+    name,
+    line,
+    width_left,
+    width_right,
+    speed_limit,
+    friction,
+    closed: numbers.values[1] > 0.5,
+    length: numbers.values[0],
     roads: {
       numbers: share(view(numbers, 0, [1, written.sizes.road_numbers])), start: share(start),
       pieces: share(pieces), headings: share(headings),
@@ -200,7 +238,8 @@ function road(said, numbers, start, pieces, headings, fresh) {
 const MOST_POINTS = 20000, MOST_WORDS = 2e7;
 function roadThrough({ points, closed = false, name = "points" }) {
   const refuse = (text) => { throw new Refusal("road", text); };
-  if (points.length > MOST_POINTS) refuse(`The road has ${points.length} points: at most ${MOST_POINTS} are taken; leave out some.`);
+  if (points.length > MOST_POINTS)
+    refuse(`The road has ${points.length} points: at most ${MOST_POINTS} are taken; leave out some.`);
   const flat = Float64Array.from(points.flatMap((each) => [Number(each?.[0]), Number(each?.[1])]));
   const given = mine(memory.array("F", [points.length, 2], flat));
   let size = memory.call("path_words", given, closed ? 1 : 0);
@@ -213,16 +252,25 @@ function roadThrough({ points, closed = false, name = "points" }) {
       continue;
     }
     refuseFlaw("road", inputs.roadFlaw(status, found, { count: points.length }, written.inputs));
-    const [count, piece, start, heading] = memory.call("path_parts", path), numbers = view(path, 0, [written.sizes.road_numbers]);
-    if (numbers.values[0] > written.bounds.road_length[1]) refuse(`The road is ${Math.round(numbers.values[0])} m long: at most ${written.bounds.road_length[1]} m are driven.`);
+    const [count, piece, start, heading] = memory.call("path_parts", path),
+      numbers = view(path, 0, [written.sizes.road_numbers]);
+    if (numbers.values[0] > written.bounds.road_length[1])
+      refuse(
+        `The road is ${Math.round(numbers.values[0])} m long: at most ${written.bounds.road_length[1]} m are driven.`,
+      );
     return road({ ...written.road_defaults, name }, numbers, view(path, start, [count + 1]),
-      view(path, piece, [count, written.sizes.piece]), view(path, heading, [memory.call("heading_count", numbers)]), false);
+      view(path, piece, [count, written.sizes.piece]),
+      view(path, heading, [memory.call("heading_count", numbers)]), false);
   }
 }
 
 function testOf(name) {
   const known = written.tests[name];
-  if (!known) throw new Refusal("road", `There is no test named “${name}”: choose one of ${Object.keys(written.tests).join(", ")}.`);
+  if (!known)
+    throw new Refusal(
+      "road",
+      `There is no test named “${name}”: choose one of ${Object.keys(written.tests).join(", ")}.`,
+    );
   return { ...known, name, test: true, closed: false };
 }
 
@@ -237,13 +285,31 @@ function drawn(of) {
   const column = (block, k) => Float64Array.from({ length: count }, (_, i) => block.values[4 * i + k]);
   const [x, y] = [0, 1].map((k) => column(points, k));
   const [left_x, left_y, right_x, right_y] = [0, 1, 2, 3].map((k) => column(edges, k));
-  return { name: of.name, closed: of.closed, length: of.length, s: s.values.slice(), x, y, left_x, left_y, right_x, right_y };
+  return {
+    name: of.name,
+    closed: of.closed,
+    length: of.length,
+    s: s.values.slice(),
+    x,
+    y,
+    left_x,
+    left_y,
+    right_x,
+    right_y,
+  };
 }
 function drawnTest(of) {
   const [x, y] = ["x", "y"].map((name) => unpackedNumbers(of[name].f8));
   const beside = (by) => Float64Array.from(y, (each) => each + by);
   return {
-    name: of.name, closed: false, length: x.at(-1), s: x.slice(), x, y, left_x: x.slice(), left_y: beside(of.width_left),
+    name: of.name,
+    closed: false,
+    length: x.at(-1),
+    s: x.slice(),
+    x,
+    y,
+    left_x: x.slice(),
+    left_y: beside(of.width_left),
     right_x: x.slice(), right_y: beside(-of.width_right),
   };
 }
@@ -251,7 +317,9 @@ function drawnTest(of) {
 // -- speed and samples ------------------------------------------------------------------------------------------------
 /** A quantity of one value all along a road; Infinity: none is given. */
 const alongOf = (value) =>
-  value < Infinity ? { s: { shape: [1] }, value: { shape: [1], values: [value] } } : { s: { shape: [0] }, value: { shape: [0] } };
+  value < Infinity
+    ? { s: { shape: [1] }, value: { shape: [1], values: [value] } }
+    : { s: { shape: [0] }, value: { shape: [0] } };
 const constantAlong = (value) => mine(memory.make("planning.along.Along", alongOf(value)));
 
 const AN_HOUR = 3600, MOST_SAMPLES = 200000;
@@ -259,16 +327,28 @@ const PLANNED = 0;
 
 /** How fast a road is driven: { table, plan (for RoadDrive), duration }. */
 function planOf(speed, of, car, world) {
-  const line = of.line, numbers = { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) };
-  const route = { line: numbers, friction: alongOf(of.friction), bank: alongOf(0), speed_limit: alongOf(of.speed_limit) };
+  const line = of.line,
+    numbers = { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) };
+  const route = {
+    line: numbers,
+    friction: alongOf(of.friction),
+    bank: alongOf(0),
+    speed_limit: alongOf(of.speed_limit),
+  };
   const spacing = real(written.comfort.spacing), none = vectorOf([]);
   const places = memory.call("plan_places", line.start, spacing, none, none);
   if (!places) throw new Refusal("speed", "No speed can be planned on this road: its length is no number.");
   const table = mine(memory.array("F", [written.sizes.plan, places]));
   const planning = mine(memory.make("planning.speed.Planning", { route, car: share(car.plain), table: share(table) }));
-  filled(planning.bounds, { ...written.comfort, domain_speed: car.domain.speed[1], steering_limit: car.rows.file.limit });
-  const duration = speed?.constant !== undefined ? constantPlan(speed.constant, planning) : lateralPlan(speed?.lateral, planning);
-  if (!(duration > 0 && duration < Infinity)) throw new Refusal("speed", "The plan never arrives: somewhere its speed is 0.");
+  filled(planning.bounds, {
+    ...written.comfort,
+    domain_speed: car.domain.speed[1],
+    steering_limit: car.rows.file.limit,
+  });
+  const duration =
+    speed?.constant !== undefined ? constantPlan(speed.constant, planning) : lateralPlan(speed?.lateral, planning);
+  if (!(duration > 0 && duration < Infinity))
+    throw new Refusal("speed", "The plan never arrives: somewhere its speed is 0.");
   const row = (name) => view(table, written.places.plan[name] * places, [places]);
   return { route, places, table, s: row("s"), speed: row("speed"), time: row("time"), duration };
 }
@@ -281,7 +361,10 @@ function lateralPlan(lateral, planning) {
   const [status, place, value, duration] = memory.call("plan_along_road", planning);
   if (status === PLANNED) return duration;
   const s = planning.table.values[written.places.plan.s * planning.table.shape[1] + place];
-  throw new Refusal("speed", written.words.plan[status].replace("{s}", s.toFixed(1)).replace("{value}", value.toPrecision(3)));
+  throw new Refusal(
+    "speed",
+    written.words.plan[status].replace("{s}", s.toFixed(1)).replace("{value}", value.toPrecision(3)),
+  );
 }
 
 /** A number within its bounds. */
@@ -297,11 +380,27 @@ function samplesOf(setup, of, car, world) {
   const { period } = world, truth = setup.truth ?? {}, plan = planOf(setup.speed, of, car, world);
   const laps = of.closed ? Math.max(1, Math.floor(AN_HOUR / plan.duration)) : 1;
   const periods = memory.call("drive_periods", plan.duration, laps, period);
-  if (!(periods >= 1 && periods < MOST_SAMPLES)) throw new Refusal("speed", `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods; 1 to ${MOST_SAMPLES} are possible: drive faster, or take another road.`);
-  const route = { ...plan.route, friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)) };
+  if (!(periods >= 1 && periods < MOST_SAMPLES))
+    throw new Refusal(
+      "speed",
+      `The drive lasts ${(plan.duration * laps).toPrecision(3)} s, ${periods} control periods; 1 to ${MOST_SAMPLES} ` +
+        "are possible: drive faster, or take another road.",
+    );
+  const route = {
+    ...plan.route,
+    friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)),
+  };
   const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
   const drive = mine(memory.make("planning.drive.RoadDrive", {
-    route, period, plan: { s: share(plan.s), speed: share(plan.speed), time: share(plan.time), duration: plan.duration, closed: of.closed ? 1 : 0 },
+    route,
+    period,
+    plan: {
+      s: share(plan.s),
+      speed: share(plan.speed),
+      time: share(plan.time),
+      duration: plan.duration,
+      closed: of.closed ? 1 : 0,
+    },
     reference: share(vectorOf([0])), wind_x: share(vectorOf([0])), wind_y: share(vectorOf([wind])),
   }));
   const signals = mine(memory.array("F", [written.sizes.signals, periods + 1])), pose = mine(memory.array("F", [3]));
@@ -312,15 +411,19 @@ function samplesOf(setup, of, car, world) {
 
 /** The samples of a test: what is known of it, completed by the kernel. */
 function samplesOfTest(of, world, truth) {
-  const every = Math.round(world.period / of.period), periods = Math.floor((of.samples - 1) / every), count = periods + 1;
+  const every = Math.round(world.period / of.period),
+    periods = Math.floor((of.samples - 1) / every),
+    count = periods + 1;
   const signals = mine(memory.array("F", [written.sizes.signals, count])), { signal } = written.places;
   const put = (name, from, fixed) => {
-    const values = fixed == null ? unpackedNumbers(of[from].f8) : null, target = view(signals, signal[name] * count, [count]).values;
+    const values = fixed == null ? unpackedNumbers(of[from].f8) : null,
+      target = view(signals, signal[name] * count, [count]).values;
     for (let k = 0; k < count; k++) target[k] = values ? values[every * k] : fixed;
   };
   put("y_ref", "y_ref");
   put("speed", "speed");
-  for (const wheel of WHEELS) put(wheel, "friction", truth.friction == null ? null : checked("truth", "friction", truth.friction));
+  for (const wheel of WHEELS)
+    put(wheel, "friction", truth.friction == null ? null : checked("truth", "friction", truth.friction));
   put("wind_y", "wind", truth.wind == null ? null : checked("truth", "wind", truth.wind));
   memory.call("complete_samples", world.period, signals);
   return { signals, periods, plan: null, laps: 1, pose: of.start, duration: periods * world.period };
@@ -331,9 +434,15 @@ const WHEELS = ["friction_front_left", "friction_front_right", "friction_rear_le
 /** A controller of a setup: an MPC or a law, ready to be laid into a run. */
 function controllerOf(entry, car, world, where) {
   const known = written.controllers[entry?.kind]?.[world.name];
-  if (!known) throw new Refusal(where, `There is no controller of the kind “${entry?.kind}”: choose one of ${Object.keys(written.controllers).join(", ")}.`);
+  if (!known)
+    throw new Refusal(
+      where,
+      `There is no controller of the kind “${entry?.kind}”: choose one of ` +
+        `${Object.keys(written.controllers).join(", ")}.`,
+    );
   if (known.refused) throw new Refusal(where, known.refused);
-  return known.common ? lawOf(entry, known, car, where) : mpcOf(entry, known, car, world, where);
+  const believed = carKnownTo(entry, car);
+  return known.common ? lawOf(entry, known, believed, where) : mpcOf(entry, known, believed, world, where);
 }
 
 function checkedTuning(tuning, where) {
@@ -350,19 +459,33 @@ function checkedBelief(belief, where) {
   for (const name of ["lag", "dead_time"]) {
     const value = belief?.[name];
     if (value !== null && value !== undefined && !(value >= 0 && value <= 1))
-      throw new Refusal(where, `The controller is to believe a ${name.replace("_", " ")} of ${value} s: give 0 to 1 s.`);
+      throw new Refusal(
+        where,
+        `The controller is to believe a ${name.replace("_", " ")} of ${value} s: give 0 to 1 s.`,
+      );
   }
   return belief;
 }
 
 function mpcOf(entry, known, car, world, where) {
-  const believed = checkedBelief(entry.belief, where), wanted = entry.tuning ? checkedTuning(entry.tuning, where) : null;
-  const made = known.order ? informedConstants(known, car, believed, where) : publishedConstants(known, car, world.period, where);
+  const believed = checkedBelief(entry.belief, where),
+    wanted = entry.tuning ? checkedTuning(entry.tuning, where) : null;
+  const made = known.order
+    ? informedConstants(known, car, believed, where)
+    : publishedConstants(known, car, world.period, where);
   const { constants } = made, settings = constants.settings.row(0);
   const tuning = wanted ?? [...constants.tuning.values.slice(0, 4)];
   settings.longest_horizon = Math.max(settings.longest_horizon, tuning[0]);
   settings.most_moves = Math.max(settings.most_moves, tuning[1]);
-  return { ...made, kind: entry.kind, known, settings, tuning, learns: settings.learns > 0, schedule: written.schedules[known.schedule] };
+  return {
+    ...made,
+    kind: entry.kind,
+    known,
+    settings,
+    tuning,
+    learns: settings.learns > 0,
+    schedule: written.schedules[known.schedule],
+  };
 }
 
 const FINE = 0;
@@ -396,20 +519,27 @@ function publishedConstants(known, car, period, where) {
 function constantsOf(states, learned, published = false) {
   const { model, published_model, turning, estimator, learner } = written.sizes;
   return mine(memory.make("synthesis.informed.Constants", {
-    settings: { shape: [1] }, tuning: { shape: [4] }, model: { shape: [published ? published_model : model] }, states: { shape: [states] },
+    settings: { shape: [1] },
+    tuning: { shape: [4] },
+    model: { shape: [published ? published_model : model] },
+    states: { shape: [states] },
     turning: { shape: [published ? 0 : turning] }, estimator: { shape: [published ? 0 : estimator] },
     learner: { shape: [learned ? learner : 0] }, fresh: { shape: [learned] },
   }));
 }
 
 function lawOf(entry, known, car, where) {
-  if (entry.tuning && "Np" in entry.tuning) throw new Refusal(where, "This controller has no horizons: leave its tuning as it is.");
+  if (entry.tuning && "Np" in entry.tuning)
+    throw new Refusal(where, "This controller has no horizons: leave its tuning as it is.");
   const delay = () => memory.call("steering_delay", car.rows.file);
-  const tuning = Object.values({ ...known.tuning, ...entry.tuning }).map((each) => (Number.isNaN(real(each)) ? delay() : real(each)));
+  const tuning = Object.values({ ...known.tuning, ...entry.tuning }).map((each) =>
+    Number.isNaN(real(each)) ? delay() : real(each),
+  );
   const parameters = mine(memory.array("F", [known.size])), common = copied("synthesis.laws.Common", known.common);
   const wanted = memory.calls[known.made_by][0].length === 4 ? [vectorOf(tuning)] : [];
   const fine = memory.call(known.made_by, car.rows.car, common, ...wanted, parameters);
-  if (wanted.length && !fine) throw new Refusal(where, "There is no gain for weights so far apart: bring them nearer to one another.");
+  if (wanted.length && !fine)
+    throw new Refusal(where, "There is no gain for weights so far apart: bring them nearer to one another.");
   return { kind: entry.kind, known, law: true, parameters, tuning, learns: false };
 }
 
@@ -428,12 +558,20 @@ function laidLaw({ known, parameters, tuning }) {
   return {
     settings, said: ["command_change", "held", ...known.diagnostics, ...known.tuning_names],
     counts: {
-      mpc: { slots: 1, states: 4, parameters: 6 }, law: 1, law_parameters: parameters.shape[0], law_memory: known.memory,
+      mpc: { slots: 1, states: 4, parameters: 6 },
+      law: 1,
+      law_parameters: parameters.shape[0],
+      law_memory: known.memory,
       diagnostics: count, tuning: tuning.length,
     },
     values: {
       mpc: { states: [0n, 1n, 2n, 3n] },
-      law: { function: { function: known.function }, parameters: share(parameters), held: held < 0 ? 0 : 1 + held, preview: known.preview ? 1 : 0 },
+      law: {
+        function: { function: known.function },
+        parameters: share(parameters),
+        held: held < 0 ? 0 : 1 + held,
+        preview: known.preview ? 1 : 0,
+      },
     },
   };
 }
@@ -445,7 +583,11 @@ function laidMpc({ constants, states, remembers, learned, settings, learns }, of
     settings, said: [...written.answer.slice(1), ...(learns ? written.beliefs : [])],
     counts: {
       mpc: {
-        slots: 1, states, parameters: size(model), turning: size(turning), lag: size(turning) ? turning.values[written.sizes.turning_lag] : 0,
+        slots: 1,
+        states,
+        parameters: size(model),
+        turning: size(turning),
+        lag: size(turning) ? turning.values[written.sizes.turning_lag] : 0,
         estimator: size(estimator), estimates: remembers, learner: size(learner), learned, curved: of.test ? 0 : 1,
       },
       tuning: 4,
@@ -474,7 +616,8 @@ function shaped(name, rows, values = {}) {
     if (kind === "r") made[field] = shaped(more, rows, value);
     else if ("FIR".includes(kind)) {
       const shape = rows.shift().slice(0, kind === "R" ? 1 : more);
-      made[field] = value?.share || value?.words || value?.f8 || value?.i8 ? { ...value, shape } : { shape, values: value };
+      made[field] =
+        value?.share || value?.words || value?.f8 || value?.i8 ? { ...value, shape } : { shape, values: value };
     } else if (value !== undefined) made[field] = value;
   }
   return made;

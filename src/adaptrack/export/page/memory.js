@@ -9,7 +9,7 @@
 //   memory.link(kernel)             its address, as records hold it
 //
 // Of a record: fields are numbers, records, or arrays; what is not a field begins with $: record.$at is its place,
-// record.$set({...}) writes fields, record.$copy(other) all of them. Of an array: at, shape, values (a view which is valid
+// record.$set({...}) writes fields, record.$copy(other) all of them. Of an array: at, shape, values (a view, valid
 // until memory is made next), row(i) where it holds rows.
 "use strict";
 
@@ -147,7 +147,10 @@ class Memory {
       const value = given[field];
       if (kind === "r") room += this._room(more, value ?? {});
       else if (value?.share) continue;
-      else if ("FIR".includes(kind)) room += roundedUp(WORD * countOf(shapeOf(value, more, kind)) * this._each(kind, more));
+      else if ("FIR".includes(kind)) {
+        const count = countOf(shapeOf(value, more, kind));
+        room += roundedUp(WORD * count * this._each(kind, more));
+      }
     }
     return room;
   }
@@ -175,7 +178,8 @@ class Memory {
   }
   _copy(value, at, words, kind) {
     const target = (kind === "I" ? this.whole : this.real).subarray(at / WORD, at / WORD + words);
-    if (value.words !== undefined && typeof value.words === "string") this.whole.set(unpackedNumbers(value.words, true), at / WORD);
+    if (value.words !== undefined && typeof value.words === "string")
+      this.whole.set(unpackedNumbers(value.words, true), at / WORD);
     else if (value.f8) target.set(unpackedNumbers(value.f8));
     else if (value.i8) target.set(unpackedNumbers(value.i8, true));
     else if (value instanceof Block) target.set(value.values);

@@ -69,12 +69,12 @@ const PLOTS = [
   {
     name: "horizons", title: "Horizons chosen", unit: "periods", digits: 0, least: 4,
     lines: [{column: "Np", label: "Np", step: true}, {column: "Nc", label: "Nc", step: true}],
-    marks: {column: "guard", label: "guard"},
+    marks: {column: "guard", label: "the guard steps in"},
   },
   {
     name: "weights", title: "Weights chosen", unit: "", digits: 3, log: true, least: 1,
     lines: [{column: "Q", label: "Q", step: true}, {column: "R", label: "R", step: true}],
-    marks: {column: "guard", label: "guard"},
+    marks: {column: "guard", label: "the guard steps in"},
   },
 ];
 
@@ -507,7 +507,8 @@ function makeTimePlot(spec, history, clock, window_) {
   // -- words
 
   const unit = spec.unit === "°" ? "°" : spec.unit ? ` ${spec.unit}` : "", digits = spec.digits ?? 2;
-  const inUnits = value => `${signed(value, digits)}${unit}`;
+  const figures = value => spec.log ? String(+value.toPrecision(3)) : signed(value, digits);
+  const inUnits = value => `${figures(value)}${unit}`;
 
   function textAt(line, t) {
     const value = valueAt(line.car, line.column, t, line.step) * scale, {band} = spec;
@@ -527,7 +528,8 @@ function makeTimePlot(spec, history, clock, window_) {
   // The values beside the labels.
   function tell() {
     const t = clock.shown, limit = limits.find(each => each.value > 0);
-    write(frame.limit, limit ? ` ${limit.label} ±${inUnits(limit.value * scale)}` : "");
+    if (limit) write(frame.limit, ` ${limit.label} ±${inUnits(limit.value * scale)}`);
+    if (spec.marks) write(frame.limit, marked().length ? ` bars below: ${spec.marks.label}` : "");
     lines.forEach((line, i) => write(values[i], textAt(line, t)));
     if (truthValue) truthValue.parentNode.hidden = !hasTruth();
     if (hasTruth()) write(truthValue, inUnits(truthAt(t)));
@@ -541,6 +543,14 @@ function makeTimePlot(spec, history, clock, window_) {
     const said = lines.map(line => `${line.name} ${textAt(line, t)}`);
     if (hasTruth()) said.push(`true ${inUnits(truthAt(t))}`);
     return said.join(", ");
+  }
+
+  // The counts that have grown up to the instant that is shown.
+  function marked() {
+    if (!spec.marks) return [];
+    const {column, label} = spec.marks;
+    const counts = history.cars.map(car => [car.name, valueAt(car, column, clock.shown, true)]);
+    return counts.filter(([, count]) => count > 0).map(([name, count]) => ` ${name}: ${label} ${count} times.`);
   }
 
   // Of a line in the window: least and largest, and when each was.
@@ -557,11 +567,11 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function rangeText(line) {
-    const found = range(line), at = t => `${signed(t, 1)} s`;
+    const found = range(line);
     if (!found) return "";
-    if (found.low === found.high) return ` ${line.name} is ${inUnits(found.low)} throughout.`;
-    const least = `${inUnits(found.low)} at ${at(found.lowAt)}`, most = `${inUnits(found.high)} at ${at(found.highAt)}`;
-    return ` ${line.name} goes from ${least} to ${most}.`;
+    if (found.low === found.high) return ` ${line.name}: ${inUnits(found.low)} throughout.`;
+    const at = (value, t) => `${inUnits(value)} at ${signed(t, 1)} s`;
+    return ` ${line.name}: from ${at(found.low, found.lowAt)} to ${at(found.high, found.highAt)}.`;
   }
 
   function describe() {
@@ -570,7 +580,7 @@ function makeTimePlot(spec, history, clock, window_) {
     const above = limits.filter(({value}) => value > 0);
     const met = above.map(({label, value}) => ` The ${label} is ±${inUnits(value * scale)}.`);
     const now = `${spec.title} at ${signed(clock.shown, 2)} s: ${spoken(clock.shown)}.`;
-    return `${now} ${ends}${lines.map(rangeText).join("")}${met.join("")}`;
+    return `${now} ${ends}${[...lines.map(rangeText), ...met, ...marked()].join("")}`;
   }
 
   listenTo(plot, clock, px => toValue(px, 0)[0]);
@@ -692,19 +702,28 @@ function makeMovesPlot(spec, history, clock) {
 
 function listenTo(plot, clock, timeAt) {
   const {canvas} = plot, at = event => timeAt(event.clientX - canvas.getBoundingClientRect().left);
-  let dragging = false;
+  let begun = null, dragging = false;
+  const aside = event => Math.abs(event.clientX - begun.x) > Math.max(8, Math.abs(event.clientY - begun.y));
   canvas.addEventListener("pointermove", event => {
+    const touch = event.pointerType === "touch";
+    if (begun && touch && aside(event)) dragging = true;  // a finger that goes up or down scrolls the page
     if (dragging) clock.seek(at(event));
-    else if (event.pointerType !== "touch") clock.hover(at(event), "plot");
+    else if (!touch) clock.hover(at(event), "plot");
   });
   canvas.addEventListener("pointerdown", event => {
-    dragging = event.pointerType !== "touch" && event.button === 0;
-    if (dragging) canvas.setPointerCapture(event.pointerId);
-    if (dragging) clock.leave();
+    if (event.button !== 0) return;
+    begun = {x: event.clientX, y: event.clientY};
+    dragging = event.pointerType !== "touch";
+    canvas.setPointerCapture(event.pointerId);
+    clock.leave();
     if (dragging) clock.seek(at(event));
   });
-  canvas.addEventListener("pointerup", () => { dragging = false; });
-  canvas.addEventListener("pointercancel", () => { dragging = false; });
+  const end = () => {
+    begun = null;
+    dragging = false;
+  };
+  canvas.addEventListener("pointerup", end);
+  canvas.addEventListener("pointercancel", end);
   canvas.addEventListener("click", event => {
     clock.leave();
     clock.seek(at(event));

@@ -115,7 +115,7 @@ function setUpChoosing() {
   for (const i of [0, 1]) byId(`setup-controller-${i}`).onchange = event => chooseController(i, event.target.value);
   byId("again").onclick = () => choose({}, {playing: true});
   byId("sheet-drive").onclick = chooseSheet;
-  byId("car-file").onchange = event => takeFile(event.target.files[0], "car");
+  byId("car-file").onchange = event => takeFiles(event.target.files, "car");
   byId("road-file").onchange = event => takeFile(event.target.files[0], "road");
   listenForDrops();
   setUpDrawing();
@@ -184,14 +184,23 @@ function listenForDrops() {
     if (!carries(event)) return;
     event.preventDefault();
     mark(-Infinity);
-    takeFile(event.dataTransfer.files[0], "");
+    takeFiles(event.dataTransfer.files, "");
   });
 }
 
 const megabytes = bytes => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 
+// Files that come together: a car may have the file of its tyre beside it; the one that says a mass is the car.
+async function takeFiles(files, what) {
+  const small = [...files].filter(file => file.size <= MOST_BYTES && /\.toml$/i.test(file.name));
+  const others = small.length < 2 ? {}
+    : Object.fromEntries(await Promise.all(small.map(async file => [file.name, await file.text()])));
+  const car = small.find(file => /^[ \t]*mass[ \t]*=/m.test(others[file.name] ?? ""));
+  await takeFile(car ?? files[0], what, others);
+}
+
 // A file that was chosen or dropped: a car (.toml) or a road (anything else, as CSV).
-async function takeFile(file, what) {
+async function takeFile(file, what, others = {}) {
   if (!file) return;
   const kind = what || (/\.toml$/i.test(file.name) ? "car" : "road");
   if (file.size > MOST_BYTES) {
@@ -200,15 +209,15 @@ async function takeFile(file, what) {
     return;
   }
   try {
-    await takeText(await file.text(), kind, file.name.replace(/\.[^.]*$/, ""), file.name);
+    await takeText(await file.text(), kind, file.name.replace(/\.[^.]*$/, ""), file.name, others);
   } catch (error) {
     page.notice(`${file.name}: ${error.message.replace(/\.?$/, ".")}`);
   }
 }
 
-async function takeText(text, kind, name, file) {
+async function takeText(text, kind, name, file, others) {
   if (kind === "car") {
-    const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file});
+    const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file, others});
     await choose({car: {file: {name, ...car}}}, {playing: true});
   } else {
     const {points, closed} = await page.engine.ask({type: "read", what: "csv", text, name, file});

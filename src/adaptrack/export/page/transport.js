@@ -8,8 +8,10 @@
 //     cursor              s under the pointer, or null; from: who set it ("road", "plot")
 //     shown               s, the cursor's time where there is one, else t
 //     reduced             steps of half a second instead of gliding (from prefers-reduced-motion)
-//     seek(t), play(), pause(), toggle(), step(n) (n control periods), faster(n), hover(t, from), leave()
+//     seek(t), play(), pause(), toggle(), step(n) (n control periods), setRate(rate), faster(n),
+//     hover(t, from), leave()
 //     grow(end)           a live drive has come so far
+//     restart({start, end, period, limit})   another drive
 //     paint(f)            f(now, clock) is called before each picture; gives a function that ends it
 //     ask()               a picture is wanted
 //     onchange            called when t, playing or rate were changed by other than the passing of time
@@ -28,7 +30,7 @@ function makeClock({start = 0, end = 0, period = 0.05, live = false} = {}) {
   let asked = false, before = 0;
   const clock = {
     t: start, start, end, period, live, limit: Infinity, playing: false, rate: 1, cursor: null, from: null,
-    reduced: calm.matches, onchange: null,
+    rates: RATES, reduced: calm.matches, onchange: null,
     get shown() { return clock.cursor ?? clock.t; },
     seek(t) {
       if (!Number.isFinite(+t)) return;
@@ -52,8 +54,8 @@ function makeClock({start = 0, end = 0, period = 0.05, live = false} = {}) {
       clock.seek(clock.start + clock.period * (n > 0 ? Math.floor(k + 1e-6) + n : Math.ceil(k - 1e-6) + n));
     },
     faster(n) {
-      const at = RATES.findIndex(rate => rate >= clock.rate);
-      clock.rate = RATES[Math.min(Math.max(at + n, 0), RATES.length - 1)];
+      const {rates} = clock, at = rates.findIndex(rate => rate >= clock.rate);
+      clock.rate = rates[Math.min(Math.max(at + n, 0), rates.length - 1)];
       changed();
     },
     setRate(rate) {
@@ -137,6 +139,7 @@ function makeButton(part, text, label, action) {
 
 function makeTransport(box, clock, {keys = box, rates = RATES, view = null} = {}) {
   box.classList.add("transport");
+  clock.rates = rates;
   const first = makeButton("first", "|◀", "To the start", () => clock.seek(clock.start));
   const back = makeButton("back", "◀|", "One control period back", () => clock.step(-1));
   const play = makeButton("play", "Play", "", () => clock.toggle());

@@ -52,7 +52,7 @@ const history = {
 
 const clock = makeClock({start: firstTime(history), end: lastTime(history), period: data.period});
 const view = makeRoadView(part("canvas"), history, clock);
-const rates = RATES.filter(rate => rate < 20 || clock.end - clock.start > 300);
+const rates = RATES.filter(rate => rate <= (clock.end - clock.start > 300 ? 20 : 10));
 const transport = makeTransport(part("transport"), clock, {keys: root, view, rates});
 const plots = makePlots(part("plots"), history, clock, null, {span: 20});
 
