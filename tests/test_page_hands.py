@@ -1,4 +1,4 @@
-"""The page on which one drives, used: lessons, touches, drawing, the lag that a controller bears, what is taken along."""
+"""The page on which one drives, used: lessons, touches, drawing, how much lag is borne, what is taken along."""
 
 import json
 
@@ -106,8 +106,8 @@ def test_each_touch_is_an_event_in_words(shown):
 
 def test_a_car_that_is_dragged_is_pushed(shown):
     drive(shown, 20)
-    x, y = shown.run("(() => { const {view} = adaptrackPage.page, {x, y} = view.place(0), [px, py] = view.toScreen(x, y),"
-                     " box = document.getElementById('road-canvas').getBoundingClientRect();"
+    x, y = shown.run("(() => { const {view} = adaptrackPage.page, {x, y} = view.place(0),"
+                     " [px, py] = view.toScreen(x, y), box = document.getElementById('road-canvas').getBoundingClientRect();"
                      " return [px + box.left, py + box.top]; })()")  # fmt: skip
     shown.click(x, y, to=(x, y - 40))  # the road begins along x: up is to the left
     shown.wait(f"{STATE}.events.length === 1", 5)
@@ -131,8 +131,8 @@ def test_a_new_drive_goes_on_while_it_plays(shown):
 # -- a road of one's own ----------------------------------------------------------------------------------------------
 def test_a_road_is_drawn_with_the_pointer_and_with_keys(shown):
     choose(shown, "setup-road", "draw")
-    left, top, width, height = shown.run("(({x, y, width, height}) => [x, y, width, height])"
-                                         "(document.getElementById('road-canvas').getBoundingClientRect())")  # fmt: skip
+    box = "document.getElementById('road-canvas').getBoundingClientRect()"
+    left, top, width, height = shown.run(f"(({{x, y, width, height}}) => [x, y, width, height])({box})")
     shown.click(left + 0.1 * width, top + 0.6 * height, to=(left + 0.9 * width, top + 0.4 * height))
     shown.wait(f"{STATE}.setup.road.points && {STATE}.cars[0].count > 0", 10)
     pointed = shown.run(STATE)["setup"]["road"]["points"]

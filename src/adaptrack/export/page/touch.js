@@ -8,8 +8,8 @@
 
 const degrees = value => value * 180 / Math.PI;
 const SLIDERS = [
-  {id: "lag", box: "main", kind: "truth", name: "lag", label: "True lag of the steering", unit: "s", least: 0.05, most: 1, step: 0.01, digits: 2},
-  {id: "belief-lag", box: "main", kind: "belief", name: "lag", label: "Lag that the controller believes", unit: "s", least: 0.02, most: 1, step: 0.01, digits: 2},
+  {id: "lag", box: "main", kind: "truth", name: "lag", label: "True lag of the steering", unit: "s", least: 0, most: 1, step: 0.01, digits: 2},
+  {id: "belief-lag", box: "main", kind: "belief", name: "lag", label: "Lag that the controller believes", unit: "s", least: 0, most: 1, step: 0.01, digits: 2},
   {id: "friction", box: "main", kind: "truth", name: "friction", label: "Friction of the road", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
   {id: "dead-time", box: "world", kind: "truth", name: "dead_time", label: "True dead time of the steering", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "bias", box: "world", kind: "truth", name: "bias", label: "Wheels turned beyond the command", unit: "°", least: -3, most: 3, step: 0.1, digits: 1, scale: Math.PI / 180},
@@ -65,9 +65,8 @@ function valueOf(slider) {
 }
 
 // Why a slider has nothing to set, "" where it has.
-function unused({kind, name}) {
-  const {controllers, profile} = page.setup, controller = controllers[chosenCar] ?? controllers[0];
-  if (kind === "truth" && name === "lag" && profile === "paper") return "The paper’s steering follows at once.";
+function unused({kind}) {
+  const controller = controllerNow();
   if (kind === "belief" && controller.kind === "learning") return "It learns this by itself: see the plot of its belief.";
   if (kind === "belief" && !BELIEVES.has(controller.kind)) return "This controller has no belief about the steering.";
   if (kind === "tuning" && !PREDICTS.has(controller.kind)) return "This controller has no horizon and no weights.";
