@@ -11,7 +11,15 @@ from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.control.models import PathModel, SingleTrackModel
-from adaptrack.core.controllers.feed_forward import FURTHEST, Turning, bend_size, feed_forward, road_moves
+from adaptrack.core.controllers.feed_forward import (
+    FURTHEST,
+    FeedForward,
+    Turning,
+    bend_size,
+    feed_forward_sizes,
+    road_moves,
+)
+from adaptrack.core.layout import room
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead
@@ -40,7 +48,9 @@ def turning_of(model, tyres=(0.0, 0.0)):
 
 def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
     settings = MPC(model.vehicle, period=model.period).settings()._replace(move_min=-most, move_max=most)
-    feed = feed_forward(turning_of(model, tyres), count + 1)
+    turning = turning_of(model, tyres)
+    feed = room(FeedForward, feed_forward_sizes, turning.size, count + 1)
+    feed.turning[:] = turning
     road_moves(count, speed, settings, bend, feed)
     return np.array([feed.expected[:count], feed.moves[:count]]) if tyres[0] else feed.expected[:count]
 
@@ -51,7 +61,7 @@ def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
 def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_road(car, speed, lag):
     """In lateral acceleration, to first order in its rate: after the beginning, within 5 % of the largest."""
     model, count = PathModel(car, PERIOD, lag), 160
-    bend = winding(bend_size(count, PERIOD, turning_of(model)))
+    bend = winding(bend_size(count, PERIOD, len(turning_of(model)), lag))
     a, b, c = model.discrete(speed)
     x, command, y = np.zeros(model.n), 0.0, [0.0]
     for move in moves_of(model, speed, bend, count):
@@ -118,8 +128,8 @@ def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
 
 def test_a_lag_without_end_looks_no_farther_than_there_is_to_see():
     model = PathModel(CAR, PERIOD, 0.3)
-    assert bend_size(30, PERIOD, turning_of(model)) >= 31 + (0.3 + FURTHEST) / PERIOD
-    assert bend_size(30, PERIOD, np.zeros(0)) == 31
+    assert bend_size(30, PERIOD, len(turning_of(model)), 0.3) >= 31 + (0.3 + FURTHEST) / PERIOD
+    assert bend_size(30, PERIOD, 0, 0.0) == 31
     assert len(Turning._fields) == MPC(CAR, profile="road")._mpc.feed.turning.size
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from adaptrack.control.qp import QP, QPStatus, kkt_residuals
 from adaptrack.control.qp.check import ill_conditioned_problem, known_problems
 from adaptrack.control.qp.kernel import Workspace
+from adaptrack.core.layout import aligned
 from adaptrack.core.qp import problem as kernels
 from adaptrack.core.qp.active_set import active_set
 from adaptrack.core.qp.residual import kkt_residual
@@ -371,7 +372,7 @@ def test_the_statuses_of_the_kernels_are_those_of_the_package():
 
 def test_workspaces_start_on_a_cache_line():
     for shape in ((3, 8), (5,), (2, 7, 16)):
-        array = kernels.aligned(shape)
+        array = aligned(shape)
         assert array.shape == shape
         assert array.ctypes.data % 64 == 0
         assert array.flags.c_contiguous
