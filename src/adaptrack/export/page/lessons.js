@@ -84,7 +84,7 @@ const PAPER_TESTS = [
     todo: "Take “nothing in the way” off: choose a lag and noisy sensors.", does: "Choose it for me",
     setup: () => makeSetup({car: {name: "paper"}, road: {test: "triple-lane-change"}, profile: "paper", speed: {constant: 15}, controllers: [oneController("published")]}),
     plots: "paper",
-    act: () => choose({profile: "road"}, {playing: true}),
+    act: () => choose({profile: "road"}),
     done: () => page.setup?.profile === "road",
     after: "Within seconds the paper’s controller loses a car whose steering has 0.15 s of lag.",
   },
