@@ -218,7 +218,7 @@ async function takeFile(file, what, others = {}) {
 async function takeText(text, kind, name, file, others) {
   if (kind === "car") {
     const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file, others});
-    await choose({car: {file: {name, ...car}}});
+    await choose({car: {file: {...car, name}}});
   } else {
     const {points, closed} = await page.engine.ask({type: "read", what: "csv", text, name, file});
     await choose({road: {points, closed: Boolean(closed), name}});
