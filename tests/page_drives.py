@@ -1,11 +1,6 @@
-"""Twenty drives of the page, and what Python drives with the same setups: for Node here, and for browsers.
-
-`proofs()` is data for JSON: of each drive its setup, and of each car the columns that are compared, how many rows they
-have, and the SHA-256 of these columns one behind the other: float64, little-endian, every NaN as 0x7ff8000000000000.
-"""
+"""Twenty drives of the page, and what Python drives with the same setups: for Node and for browsers."""
 
 import functools
-import hashlib
 
 import numpy as np
 
@@ -101,18 +96,3 @@ def columns_of(trajectory):
         found |= {key: values.astype(float) for key, values in group.items()}
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}
-
-
-def digest(columns):
-    """SHA-256 of columns one behind the other."""
-    content = np.concatenate([np.where(np.isnan(each), np.nan, each) for each in columns.values()])
-    return hashlib.sha256(content.astype("<f8").tobytes()).hexdigest()
-
-
-def proofs():
-    """See the module."""
-    return [
-        {"name": name, "setup": setup, "cars": [
-            {"columns": list(each), "rows": len(each["x"]), "sha256": digest(each)} for each in driven(name)
-        ]} for name, setup in SETUPS.items()
-    ]  # fmt: skip

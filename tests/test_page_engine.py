@@ -21,6 +21,7 @@ from adaptrack.core.plants.contract import SLOTS, STATE
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
+from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
@@ -123,6 +124,25 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     assert len(found) == len(expected)
     assert [differing(here, there) for here, there in zip(found, expected, strict=True)] == [{}] * len(found)
     assert [len(here["x"]) for here in found] == [len(there["x"]) for there in expected]
+
+
+@pytest.mark.slow
+def test_files_that_are_dropped_are_driven_as_the_package_reads_them(ask, tmp_path):
+    points = np.array(page_drives.WAVE["points"])
+    table = "x,y\n" + "".join(f"{x},{y}\n" for x, y in points.tolist())
+    car = at.load_vehicle("van").replace(steering=at.Steering(lag=0.2, dead_time=0.08))
+    car.to_toml(tmp_path / "mine.toml")
+    toml = (tmp_path / "mine.toml").read_text()
+    texts = {"car file": toml, "csv": table}
+    read = ask(*({"type": "read", "id": what, "what": what, "text": text} for what, text in texts.items()))
+    assert refused(read) == []
+    given, road = read[1]["car"], {"points": read[2]["points"], "closed": False}
+    setup = page_drives._setup({"file": given}, road, {"lateral": 2.5}, "road", "informed", seed=8)
+    way = at.road_through(points)
+    drive_of = at.RoadDrive(way, at.plan_speed(way, car, Comfort(lateral=2.5)))
+    expected = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), drive_of, profile="road", seed=8)
+    (found,) = frames(ask(*drive(setup)))
+    assert differing(found, page_drives.columns_of(expected)) == {}
 
 
 # -- what is touched while it drives ----------------------------------------------------------------------------------

@@ -107,8 +107,8 @@ def test_each_touch_is_an_event_in_words(shown):
 def test_a_car_that_is_dragged_is_pushed(shown):
     drive(shown, 20)
     x, y = shown.run("(() => { const {view} = adaptrackPage.page, {x, y} = view.place(0),"
-                     " [px, py] = view.toScreen(x, y), box = document.getElementById('road-canvas').getBoundingClientRect();"
-                     " return [px + box.left, py + box.top]; })()")  # fmt: skip
+                     " [px, py] = view.toScreen(x, y), road = document.getElementById('road-canvas'),"
+                     " box = road.getBoundingClientRect(); return [px + box.left, py + box.top]; })()")  # fmt: skip
     shown.click(x, y, to=(x, y - 40))  # the road begins along x: up is to the left
     shown.wait(f"{STATE}.events.length === 1", 5)
     assert "pushed to the left" in shown.run(STATE)["events"][0]["text"]

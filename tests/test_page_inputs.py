@@ -125,7 +125,8 @@ def test_a_car_from_a_link_is_the_same_or_refused_in_words():
         None, 3, "car", [], {}, {**car, "numbers": None}, {**car, "numbers": {**car["numbers"], "mass": "heavy"}},
         {**car, "numbers": {**car["numbers"], "mass": -1}}, {**car, "steering": 3}, {**car, "domain": {"speed": [9]}},
         {**car, "tyre": {"name": "own", "numbers": {**car["tyre"]["numbers"], "linear": 7}}}, {**car, "tyre": 5},
-        {**car, "tyre": {"numbers": []}}, {**car, "tyre": {}}, {**car, "tyre": {"name": 3}}, {**car, "__proto__": {}, "unknown": 1},
+        {**car, "tyre": {"numbers": []}}, {**car, "tyre": {}}, {**car, "tyre": {"name": 3}},
+        {**car, "__proto__": {}, "unknown": 1},
     ]  # fmt: skip
     for answer in asked([("checkedCar", [each], []) for each in wrong]):
         is_refused_in_words(answer)

@@ -9,6 +9,7 @@ import pytest
 import adaptrack as at
 import browser
 from adaptrack.core.kernel import INTERPRETED
+from adaptrack.export.page_inputs import tyre_numbers
 from browsers import Chromium, Media
 from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe
 
@@ -269,6 +270,28 @@ def test_a_file_that_is_none_gives_a_sentence_and_never_a_frozen_page(shown, fil
     assert re.match(r".*\w{3,} .*\w{3,}.*\.$", notice, re.DOTALL), notice
     assert len(notice) < 1200
     assert longest < 1000.0
+    assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+DROP_BOTH = """
+(async (files) => {
+  const given = new DataTransfer();
+  for (const [name, text] of files) given.items.add(new File([text], name));
+  document.body.dispatchEvent(new DragEvent("drop", {dataTransfer: given, bubbles: true, cancelable: true}));
+  const car = () => adaptrackPage.state().setup.car.file;
+  for (let k = 0; k < 500 && !car(); k++) await new Promise((done) => setTimeout(done, 10));
+  return car();
+})"""
+
+
+def test_a_car_is_dropped_together_with_the_file_of_its_tyre(shown, file, tmp_path):
+    opened(shown, file)
+    at.load_tyre("van").to_toml(tmp_path / "own-tyre.toml")
+    at.load_vehicle("van").replace(tyre=str(tmp_path / "own-tyre.toml")).to_toml(tmp_path / "own.toml")
+    files = [(name, (tmp_path / name).read_text()) for name in ("own-tyre.toml", "own.toml")]
+    car = shown.run(f"{DROP_BOTH}({json.dumps(files)})")
+    assert car["numbers"]["mass"] == 2800.0
+    assert car["tyre"]["numbers"] == tyre_numbers(at.load_tyre("van"))
     assert shown.run("adaptrackPage.advance(5)") == 5
 
 

@@ -145,8 +145,8 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
             "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
             "takes its state as it is measured: choose a controller that knows its car."
         }
-    made = controller_of({"kind": kind}, load_vehicle("paper"), known)
-    numbers = controller_numbers(kind if law else base, profile)
+    plain = kind if law else base
+    made, numbers = controller_of({"kind": plain}, load_vehicle("paper"), known), controller_numbers(plain, profile)
     schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
     return {
         **numbers, "words": KINDS[kind], "schedule": schedule if scheduled and not law else None,

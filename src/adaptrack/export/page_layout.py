@@ -91,11 +91,6 @@ def packed(values: Any) -> dict[str, Any]:
     return {"i8" if whole else "f8": base64.b64encode(content.tobytes()).decode(), "shape": list(array.shape)}
 
 
-def row(value: Any) -> dict[str, Any]:
-    """A row of a record of numbers, whole."""
-    return {"words": base64.b64encode(np.array([value]).tobytes()).decode()}
-
-
 def image(record: Any) -> dict[str, Any]:
     """A record with all that it holds; what is zero throughout is given by its shape alone."""
     functions = {kernel.address: name for name, kernel in EXPORTED.items() if "address" in vars(kernel)}

@@ -19,7 +19,7 @@ const MOST_AT_ONCE = 100;  // control periods a message
 const SILENT = 20;  // s after which a worker that says nothing has died
 const LONGEST = 3700;  // s of a drive that are kept
 
-const ANSWER = {start: "started", advance: "frames", change: "changed", read: "read", write: "written"};
+const ANSWER = {start: "started", advance: "frames", change: "changed", write: "written"};
 
 class Refusal extends Error {
   constructor({message, where}) {
@@ -73,10 +73,10 @@ async function makeEngine(died) {
       if (over) return Promise.reject(new Error("the simulation has ended"));
       if (message.type === "start") forget();
       if (message.type === "start") drives++;
-      const id = message.type === "read" || message.type === "write" ? `text ${++texts}` : drives;
+      const id = ["read", "write", "memory"].includes(message.type) ? `text ${++texts}` : drives;
       return new Promise((take, fail) => {
         const watch = setTimeout(() => die("the simulation gave no answer"), 1000 * seconds);
-        waiting.push({id, answer: ANSWER[message.type], take, fail, watch});
+        waiting.push({id, answer: ANSWER[message.type] ?? message.type, take, fail, watch});
         worker.postMessage({...message, id});
       });
     },

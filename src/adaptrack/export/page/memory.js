@@ -79,9 +79,9 @@ class Memory {
       if (place.size === size) this.spare.splice(k, 1);
       else Object.assign(place, { at: at + size, size: place.size - size });
     } else {
-      this.end += size;
-      const missing = this.end - this.exports.memory.buffer.byteLength;
+      const missing = this.end + size - this.exports.memory.buffer.byteLength;
       if (missing > 0) this.exports.memory.grow(Math.ceil(missing / PAGE));
+      this.end += size;
     }
     this.real.fill(0, at / WORD, (at + size) / WORD);
     return { at, size };
