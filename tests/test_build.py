@@ -171,7 +171,9 @@ def test_what_is_packed_is_found_in_the_archive_and_a_damaged_file_is_not(quick,
 
 
 def test_a_wheel_holds_objects_for_its_processors_and_for_pages():
-    assert shipped(["x86-64", "x86-64-v3", "x86-64-v4"], portable=True) == ["x86-64", "x86-64-v3", "wasm32"]
+    assert shipped(["x86-64", "x86-64-v3", "x86-64-v4"], portable=True) == [
+        "x86-64", "x86-64-v3", "wasm32", "wasm32-page",
+    ]  # fmt: skip
     assert shipped(["x86-64-v4"], portable=False) == ["x86-64-v3"]
     assert shipped(["aarch64"], portable=False) == ["aarch64"]
 

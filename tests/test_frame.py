@@ -84,12 +84,11 @@ def test_the_frames_are_those_of_simulate():
     found = at.simulate(at.DualTrack(CAR), at.MPC(CAR, profile="road"), scenario, profile="road", seed=3)
     numbers, _, _ = shown(*run_of(at.MPC(CAR, profile="road"), scenario), pieces_of(found.t.size))
     for column, expected in (
-        ("x", found.X), ("y", found.Y), ("vy", found.vy), ("wheel_angle", found.steering),
+        ("time", found.t), ("x", found.X), ("y", found.Y), ("vy", found.vy), ("wheel_angle", found.steering),
         ("command", found.command), ("lateral_acceleration", found.lateral_acceleration), ("y_ref", found.y_ref),
         ("v_ref", found.v_ref), ("friction", found.friction.mean(axis=1)),
     ):  # fmt: skip
         assert np.array_equal(numbers[:, getattr(FRAME, column)], expected), column
-    assert np.allclose(numbers[:, FRAME.time], found.t, rtol=0.0, atol=1e-12)
     assert np.allclose(numbers[:, FRAME.error], found.Y - found.y_ref, rtol=0.0, atol=1e-15)
 
 

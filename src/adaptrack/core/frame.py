@@ -6,7 +6,6 @@ A program that shows a drive lets it go on by `drive_and_show`, a few periods at
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from .controllers import mpc
 from .controllers.receding import plan_moves, predict_outputs
@@ -15,6 +14,7 @@ from .loop import SIGNAL
 from .maths.bits import whole
 from .maths.trigonometric import cos, sin
 from .period import NOTED, Span, move, note
+from .planning.drive import instant
 from .plants.contract import INPUT, STATE, input_at, state_at
 from .road import line_of, points_ahead
 from .rollout import COMMON, Run, close_all, control_all
@@ -37,11 +37,6 @@ FRAME = columns(
 these. Behind them is the controller's answer but for its command, and of control laws the tuning."""
 
 
-def frame_names(answer: Any, tuning: Any) -> tuple[str, ...]:
-    """The names of a frame's columns; of the controller's answer, and of its tuning where that is not part of it."""
-    return (*FRAME._fields, *answer[1:], *(name for name in tuning if name not in answer))
-
-
 @inlined
 def _guarded(slot, run):
     """How often the guard has stepped in."""
@@ -59,7 +54,8 @@ def _write_numbers(k, slot, run, answer, row):
     note(slot, run, row[: len(NOTED)])
     for j in range(STATE.yaw_rate + 1):
         row[FRAME.x + j] = block[state_at(j, slot)]
-    row[FRAME.time], row[FRAME.command], row[FRAME.error] = k * run.settings.period, answer[COMMON.command], own.error
+    row[FRAME.time], row[FRAME.command] = instant(k, run.settings.period), answer[COMMON.command]
+    row[FRAME.error] = own.error
     row[FRAME.y_ref] = signals[scenario, SIGNAL.y_ref, sample]
     row[FRAME.v_ref] = signals[scenario, SIGNAL.speed, sample]
     row[FRAME.speed] = own.speed
@@ -115,10 +111,10 @@ def _write_plan(k, slot, run, points, moves):
 def drive_and_show(count, span, run, numbers, predicted, moves):
     """`rollout.roll_on` of a run of one slot, with a row for each period driven: how many.
 
-    numbers: (count, .) FRAME, then the answer, see `frame_names`. predicted: (count, 2 longest horizon) x and y (m) in
-    turn of where the car will be 1, 2, ..., Np periods after the dead time. moves: (count, most moves) rad, changes of
-    the command that are planned, those for the road included. Both are NaN behind the horizons, of control laws, and
-    where a step found no solution. No row is written of the instant at which a run fails.
+    numbers: (count, .) see FRAME. predicted: (count, 2 longest horizon) x and y (m) in turn of where the car will be 1,
+    2, ..., Np periods after the dead time. moves: (count, most moves) rad, changes of the command that are planned,
+    those for the road included. Both are NaN behind the horizons, of control laws, and where a step found no solution.
+    No row is written of the instant at which a run fails.
     """
     driven = 0
     while driven < count and control_all(span, run) > 0:

@@ -40,10 +40,15 @@ def _bits(x: Any) -> Any:
     return np.array(x, np.float64).view(np.int64)
 
 
+def _floats(number: Any) -> Any:
+    found = number.view(np.float64)
+    return found if found.ndim else float(found)
+
+
 @primitive
 def upper_half(x: Any) -> Any:
     """x, a float or eight of them, rounded to 26 bits: what it is less than x has 26, too. For |x| < 2^1023."""
-    return ((_bits(x) + 2**26) & -(2**27)).view(np.float64)[()]
+    return _floats(np.asarray((_bits(x) + 2**26) & -(2**27)))
 
 
 @primitive
@@ -54,7 +59,7 @@ def to_odd(x: Any, rest: Any) -> Any:
     """
     number = _bits(x)
     step = ((number ^ _bits(rest)) >> 63) | 1
-    return np.where((np.asarray(rest) != 0.0) & (number & 1 == 0), number + step, number).view(np.float64)[()]
+    return _floats(np.where((np.asarray(rest) != 0.0) & (number & 1 == 0), number + step, number))
 
 
 @primitive
