@@ -89,7 +89,7 @@ class Chromium:
         page = next(each["targetId"] for each in pages if each["type"] == "page")
         self._session = self._call("Target.attachToTarget", session="", targetId=page, flatten=True)["sessionId"]
         self._scale, self._touch = scale, touch
-        for name in ("Page", "Runtime", "Log", "Network", "Performance"):
+        for name in ("Page", "Runtime", "Log", "Network"):
             self._call(f"{name}.enable")
         # workers ask for things too
         self._call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=False, flatten=True)
@@ -242,11 +242,16 @@ class Chromium:
             if each["type"] != "Document" and not each["request"]["url"].startswith(("data:", "blob:"))
         ]  # fmt: skip
 
-    def memory(self) -> dict[str, float]:
-        """bytes: of JavaScript's heap in the page after its rubbish is collected, and of the browser's processes."""
+    def memory(self) -> int:
+        """bytes of the processes that hold pages, after their rubbish is collected."""
         self._call("HeapProfiler.collectGarbage")
-        heap = {each["name"]: each["value"] for each in self._call("Performance.getMetrics")["metrics"]}
-        return {"heap": heap["JSHeapUsedSize"], "nodes": heap["Nodes"]}
+        found = 0
+        for each in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError, IndexError):
+                group = int((each / "stat").read_text().rsplit(")", 1)[1].split()[2])
+                if group == self._process.pid and b"--type=renderer" in (each / "cmdline").read_bytes():
+                    found += 1024 * int((each / "smaps_rollup").read_text().split("\nPss:", 1)[1].split()[0])
+        return found
 
 
 class Firefox:

@@ -197,6 +197,29 @@ def test_a_link_holds_all_settings_and_a_drawn_road(shown, file):
     assert min(rows[0]) >= 50
 
 
+@pytest.mark.parametrize(
+    "more",
+    [{}, {"road": {"name": "town"}, "profile": "production", "controllers": [{"kind": "learning"}], "seed": 3},
+     {**SETUP, "controllers": SETUP["controllers"][:1]}, {**SETUP, "controllers": SETUP["controllers"][1:]},
+     {"road": {"test": "triple-lane-change"}, "car": {"name": "paper"}, "profile": "paper",
+      "controllers": [{"kind": "published"}]}],
+    ids=["as it begins", "learning", "all settings", "a law", "a test"],
+)  # fmt: skip
+def test_the_python_lines_on_the_page_drive_what_the_page_drives(shown, file, more):
+    opened(shown, file)
+    shown.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(more)}}}).then(() => 0)")
+    assert shown.run(f"{STATE}.notice") == ""
+    shown.run("adaptrackPage.advance(300)")
+    names: dict = {}
+    exec(shown.run("document.getElementById('code-python').textContent"), names)
+    run = names["run"]
+    for column, of in {"x": "X", "y": "Y", "command": "command", "wheel_angle": "steering"}.items():
+        found = shown.run(f"(({{columns, count}}) => Array.from(columns.{column}.slice(0, count)))"
+                          "(adaptrackPage.page.drive.history.cars[0])")  # fmt: skip
+        assert len(found) > 60
+        assert np.array_equal(found, getattr(run, of)[: len(found)]), column
+
+
 @pytest.mark.parametrize("fragment", ["#%E0%A4%A", "#setup=eyJ", "#car=unicorn", "#" + "a" * 100000])
 def test_a_link_that_does_not_fit_says_so_and_drives(shown, file, fragment):
     opened(shown, file, fragment)
@@ -310,3 +333,45 @@ def test_all_sliders_at_their_ends_neither_end_the_page_nor_silence_it(shown, fi
     shown.run("adaptrackPage.start(adaptrackPage.state().setup).catch(() => 0)")
     opened(shown, file)
     assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+# -- for long ---------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_the_page_is_never_held_up_while_it_drives(shown, file):
+    opened(shown, file)
+    both = {"controllers": [{"kind": "learning"}, {"kind": "informed"}]}
+    shown.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(both)}}}).then(() => 0)")
+    shown.run("document.getElementById('plot-choice').value = 'all'")
+    shown.run("document.getElementById('plot-choice').dispatchEvent(new Event('change', {bubbles: true}))")
+    longest = []
+    for _ in range(3):  # another process may take the processor for a while
+        longest.append(
+            shown.run(
+                """(async () => {
+                  const found = [0], spent = (frame) => frame.scripts.reduce((sum, each) => sum + each.duration, 0);
+                  const watch = new PerformanceObserver((list) => found.push(...list.getEntries().map(spent)));
+                  watch.observe({type: "long-animation-frame"});
+                  adaptrackPage.page.clock.setRate(5);
+                  adaptrackPage.play();
+                  await new Promise((done) => setTimeout(done, 8000));
+                  adaptrackPage.pause();
+                  watch.disconnect();
+                  return Math.max(...found);
+                })()"""
+            )
+        )
+    assert min(longest) < 100.0, longest
+
+
+@pytest.mark.slow
+def test_an_hour_of_driving_does_not_fill_the_memory(shown, file):
+    opened(shown, file)
+    hour = {"road": {"name": "lap"}, "controllers": [{"kind": "informed"}]}
+    shown.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(hour)}}}).then(() => 0)")
+    used = []
+    for _ in range(4):  # quarters of an hour
+        assert shown.run("adaptrackPage.advance(18000)") > 16000  # whole laps
+        used.append(shown.memory())
+    assert shown.run(f"{STATE}.end") > 3500.0
+    assert used[-1] < 500e6, used
+    assert used[-1] - used[1] < 100e6, used

@@ -372,7 +372,7 @@ function remedy(setup, controller, i) {
 // ---- pictures
 
 const PLOT_SETS = {
-  few: ["error", "steering"], belief: ["error", "lag", "dead_time", "steering"], schedule: ["error", "horizons", "weights", "steering"],
+  few: ["error", "steering"], belief: ["error", "lag", "dead_time", "stiffness", "bias", "steering"], schedule: ["error", "horizons", "weights", "steering"],
   paper: ["path", "error", "steering"], all: null,
 };
 let plotSet = "few";
@@ -389,6 +389,7 @@ function showPictures() {
     setUpLooks();
   }
   choosePlots(plotSet);
+  chooseSpan(span);
   showKey();
   page.view.followCar();
 }
@@ -401,18 +402,22 @@ function choosePlots(wanted) {
   page.plots?.choose(PLOT_SETS[name]);
 }
 
+let span = 20;
+
+function chooseSpan(seconds) {
+  span = seconds;
+  page.plots?.setSpan(seconds);
+  for (const each of document.querySelectorAll("[data-span]")) each.setAttribute("aria-pressed", +each.dataset.span === seconds);
+}
+
 function setUpLooks() {
-  const {view, plots} = page, looks = {follow: view.followCar, whole: view.showWhole, out: () => view.zoom(1 / 1.4), in: () => view.zoom(1.4)};
+  const {view} = page, looks = {follow: view.followCar, whole: view.showWhole, out: () => view.zoom(1 / 1.4), in: () => view.zoom(1.4)};
   for (const button of document.querySelectorAll("[data-look]")) button.onclick = looks[button.dataset.look];
   view.onview = () => {
     byId("look-follow").setAttribute("aria-pressed", view.follow);
     byId("look-whole").setAttribute("aria-pressed", view.whole);
   };
-  const spans = [...document.querySelectorAll("[data-span]")];
-  for (const button of spans) button.onclick = () => {
-    plots.setSpan(+button.dataset.span);
-    for (const each of spans) each.setAttribute("aria-pressed", each === button);
-  };
+  for (const button of document.querySelectorAll("[data-span]")) button.onclick = () => chooseSpan(+button.dataset.span);
   byId("plot-choice").onchange = event => choosePlots(event.target.value);
 }
 

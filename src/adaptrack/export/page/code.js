@@ -101,7 +101,7 @@ function commandOf(setup) {
   }
   if (road.points) missing.push("the points of the road (write them to road.csv, x,y a line)");
   if (TRUTHS.some(name => given(truth[name]))) missing.push("the true steering, noise, friction and wind (a profile of your own says the first two)");
-  const lines = [...first, `${parts.join(" ")} --out drive`];
+  const lines = [...first, `${[...new Set(parts)].join(" ")} --out drive`];
   if (missing.length) lines.push(`# not in the command, see the Python lines: ${[...new Set(missing)].join(", ")}`);
   return lines.join("\n");
 }

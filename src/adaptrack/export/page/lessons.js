@@ -62,7 +62,7 @@ const LESSONS = [
       car: {name: "van"}, truth: {lag: 0.3, dead_time: 0.1},
       controllers: [oneController("learning"), oneController("informed", {belief: {lag: 0.15, dead_time: 0}})],
     }),
-    plots: "belief",
+    plots: "belief", span: 0,
     act: () => page.clock.play(),
     done: () => page.clock.t >= 20,
     after: "The first car has stayed within 7 cm from its first metre; the second swings by half a metre and is about to leave the road.",
@@ -83,8 +83,8 @@ const PAPER_TESTS = [
     text: "Three lane changes at changing speed, with gusts, on changing friction: the paper’s first test, with its own ideal steering. The dashed line is the reference, the plots have it over time as the paper does.",
     todo: "Take “nothing in the way” off: choose a lag and noisy sensors.", does: "Choose it for me",
     setup: () => makeSetup({car: {name: "paper"}, road: {test: "triple-lane-change"}, profile: "paper", speed: {constant: 15}, controllers: [oneController("published")]}),
-    plots: "paper",
-    act: () => choose({profile: "road"}, {playing: true}),
+    plots: "paper", span: 0,
+    act: () => choose({profile: "road"}),
     done: () => page.setup?.profile === "road",
     after: "Within seconds the paper’s controller loses a car whose steering has 0.15 s of lag.",
   },
@@ -93,7 +93,7 @@ const PAPER_TESTS = [
     text: "200 s of a winding drive up to 155 m aside: the paper’s second test. Without preview every controller runs after the reference.",
     todo: "Put the MPC that knows its car beside it.", does: "Put it there",
     setup: () => makeSetup({car: {name: "paper"}, road: {test: "general-trajectory"}, profile: "paper", speed: {constant: 15}, controllers: [oneController("published")]}),
-    plots: "paper",
+    plots: "paper", span: 0,
     act: () => chooseController(1, "informed"),
     done: () => page.setup?.controllers[1]?.kind === "informed",
     after: "Both have 35 cm: on an ideal car there is nothing to know.",
@@ -158,6 +158,7 @@ function showLesson(next) {
   if (next.open) byId(next.open).open = true;
   if (next.car !== undefined) chosenCar = next.car;
   choosePlots(next.plots ?? "few");
+  chooseSpan(next.span ?? 20);
 }
 
 function tickLesson() {

@@ -95,10 +95,10 @@ function fit(select) {
 }
 
 // A drive of another setup; what was refused leaves the old drive and says why.
-async function choose(more, options) {
+async function choose(more) {
   const setup = {...copyOf(page.setup), ...more};
   try {
-    await start(setup, options);
+    await start(setup, {playing: page.clock.playing || !page.clock.reduced});
   } catch {
     showChoices();
   }
@@ -113,7 +113,7 @@ function setUpChoosing() {
   byId("setup-speed").onchange = byId("setup-speed-kind").onchange = chooseSpeed;
   byId("setup-profile").onchange = event => choose({profile: event.target.value, truth: {...page.setup.truth, lag: null, dead_time: null, bias: null}});
   for (const i of [0, 1]) byId(`setup-controller-${i}`).onchange = event => chooseController(i, event.target.value);
-  byId("again").onclick = () => choose({}, {playing: true});
+  byId("again").onclick = () => choose({});
   byId("sheet-drive").onclick = chooseSheet;
   byId("car-file").onchange = event => takeFiles(event.target.files, "car");
   byId("road-file").onchange = event => takeFile(event.target.files[0], "road");
@@ -218,10 +218,10 @@ async function takeFile(file, what, others = {}) {
 async function takeText(text, kind, name, file, others) {
   if (kind === "car") {
     const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file, others});
-    await choose({car: {file: {name, ...car}}}, {playing: true});
+    await choose({car: {file: {...car, name}}});
   } else {
     const {points, closed} = await page.engine.ask({type: "read", what: "csv", text, name, file});
-    await choose({road: {points, closed: Boolean(closed), name}}, {playing: true});
+    await choose({road: {points, closed: Boolean(closed), name}});
   }
 }
 

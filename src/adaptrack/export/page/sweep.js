@@ -5,8 +5,8 @@
 //   runSweep()        -> [{name, borne, lost, tried: [{lag, rms, most, failed}]}], for each controller shown
 
 const LAGS = [0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1];
-const HALVINGS = 2;  // between the last lag that is borne and the first that is not
-const TRIED = 30;  // s of each drive
+const HALVINGS = 3;  // between the last lag that is borne and the first that is not
+const TRIED = 40;  // s of each drive
 const BORNE = 0.5;  // m, from its line at most
 let sweeping = null;
 
@@ -25,21 +25,28 @@ function setUpSweep() {
     }
     button.textContent = named;
   };
-  page.on("setup", () => {
+  const forget = () => {
     if (sweeping) sweeping.stop = true;
     byId("sweep-found").hidden = true;
     setText(byId("sweep-words"), "");
-  });
+  };
+  page.on("setup", forget);
+  page.on("touched", ({id, kind}) => { if (kind && id !== "lag" || id === "told") forget(); });  // of another controller or world
 }
+
+// The setup with so much lag; who is told of every change believes it.
+const withLag = (setup, lag) => ({
+  ...setup, truth: {...setup.truth, lag},
+  controllers: setup.controllers.map(each => each.told ? {...each, belief: {...each.belief, lag}} : each),
+});
 
 async function runSweep() {
   const setup = copyOf(page.setup), sweep = sweeping = {stop: false};
   const found = setup.controllers.map((_, i) => ({name: nameOfCar(i), tried: [], borne: 0, lost: Infinity}));
   const engine = await makeEngine();
-  const steadyTruth = {...setup.truth};
   byId("sweep-found").hidden = false;
   const tryLag = async lag => {
-    const tried = await driveOnce(engine, {...setup, truth: {...steadyTruth, lag}});
+    const tried = await driveOnce(engine, withLag(setup, lag));
     tried.forEach((each, i) => {
       found[i].tried.push({lag, ...each});
       if (each.failed || each.most > BORNE) found[i].lost = Math.min(found[i].lost, lag);
