@@ -86,14 +86,10 @@ def test_files_of_a_script_share_no_name():
 def test_scripts_of_the_page_can_be_read():
     if shutil.which("node") is None:
         pytest.skip("node is not installed")
-    parts = page_file.page_parts()
-    for script in (parts.script, parts.engine):
+    others = {each.name for each in page_file.SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(others)))):
         subprocess.run(["node", "--check", "-"], input=script, text=True, check=True)
         assert "</script" not in script
-
-
-def test_the_same_page_is_written_twice(page, tmp_path):
-    assert at.export_page(tmp_path / "again.html").read_bytes() == page.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -121,11 +117,12 @@ def run_command(monkeypatch, capsys, *words):
     return code, *capsys.readouterr()
 
 
-def test_the_command_writes_it_and_says_how_large_it_is(monkeypatch, capsys, tmp_path, page):
+def test_the_command_writes_the_same_page_and_says_how_large_it_is(monkeypatch, capsys, tmp_path, page):
     out = tmp_path / "new" / "drive.html"
     code, said, _ = run_command(monkeypatch, capsys, "--out", out, "--json")
     assert code == 0
     assert json.loads(said) == {"file": str(out), "bytes": out.stat().st_size}
+    assert out.read_bytes() == page.read_bytes()
 
 
 def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
@@ -146,8 +143,11 @@ def test_names_are_refused_by_their_own_kind(tmp_path):
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("way", ["disk", "server"])
-@pytest.mark.parametrize("name", BROWSERS)
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [("chromium", "disk"), ("chromium", "server"), ("firefox", "disk"),
+     pytest.param("firefox", "server", marks=pytest.mark.slow)],
+)  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
     kind, program, missing = BROWSERS[name]
     if program is None:
