@@ -331,7 +331,7 @@ function showScore() {
     setText(byId(`error-${i}`), failed ? `${wordsOfEnd(car)}` : `${number} ${unit}`);
     setText(byId(`rest-${i}`), failed
       ? `at ${car.failed.toFixed(1)} s\nRMS error until then ${lengthText(whole.rms)}`
-      : `RMS error, last ${WINDOW} s\nof all ${lengthText(whole.rms)}, most ${lengthText(whole.most)}`);
+      : `RMS error, last ${WINDOW} s\nwhole drive ${lengthText(whole.rms)}, largest ${lengthText(whole.most)}`);
     if (failed) sentences.push(failureSentence(car, i));
   });
   const verdict = byId("verdict"), over = drive.over && t >= clock.limit - 1e-6;
