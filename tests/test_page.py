@@ -17,7 +17,7 @@ from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from browsers import BROWSERS, Chromium
-from pages import READY, STATE, differing, drive, served
+from pages import READY, STATE, differing, drive, exported, served
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
 CHROMIUM = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
@@ -26,7 +26,7 @@ CHROMIUM = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """The file."""
-    return at.export_page(tmp_path_factory.mktemp("page") / "drive.html")
+    return exported(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
@@ -162,7 +162,7 @@ def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, p
         assert paths == ([] if way == "disk" else [f"/{page.name}"])
 
 
-def test_it_begins_with_what_it_was_exported_with(chromium, tmp_path):
+def test_it_begins_with_what_it_was_exported_with(chromium, page, tmp_path):
     along = np.linspace(0.0, 200.0, 41)
     points = np.stack([along, 3.0 * np.sin(along / 30.0)], axis=-1)
     car = at.vehicle_from_data_sheet("own", mass=1300.0, wheelbase=2.5)

@@ -11,7 +11,7 @@ import browser
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.page_inputs import tyre_numbers
 from browsers import Chromium, Media
-from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe
+from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, exported
 
 pytestmark = [
     pytest.mark.compiled,
@@ -26,7 +26,7 @@ OPEN_ALL = (
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    return at.export_page(tmp_path_factory.mktemp("page") / "drive.html")
+    return exported(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module")
