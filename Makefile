@@ -18,7 +18,7 @@ $(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/ker
 	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
 	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \
 	  $(PIP) install --no-deps --require-hashes --target build/linker -r build/linker.txt; }
-	PYTHONPATH=build/linker $(BIN)/python -m adaptrack.core.build
+	PYTHONPATH=build/linker $(BIN)/python -m adaptrack.core.build --export wasm32-page
 	PYTHONPATH=build/linker $(BIN)/python -m adaptrack.export.fmu_build
 	@rm -rf build/linker
 

@@ -49,7 +49,7 @@ html_css_files = ["pages.css"]
 
 
 def write_page(app, exception):
-    """Write the page on which one drives beside the built pages; docs/page.md and docs/index.md lead to it."""
+    """Write the page on which one drives beside the built pages; docs/page.md and docs/index.md link to it."""
     if exception is None and app.builder.name == "html":
         from adaptrack.export.page_file import write_page
 

@@ -9,15 +9,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-DOCS = Path(__file__).resolve().parent
-sys.path.insert(0, str(DOCS.parent / "tests"))
-import pages
-from browsers import Chromium, Media
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from PIL import Image
 
 import adaptrack as at
+import pages
+from browsers import Chromium, Media
 
-IMAGES = DOCS / "images"
+IMAGES = Path(__file__).resolve().parent / "images"
 BESIDE = {"controllers": [{"kind": "informed"}, {"kind": "pure-pursuit"}]}
 LEARNING = {
     "car": {"name": "van"}, "truth": {"lag": 0.3, "dead_time": 0.1},

@@ -14,6 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.base.errors import InvalidInput
 
 READY = "window.adaptrackPage && adaptrackPage.ready && adaptrackPage.state().cars.length > 0"
 STATE = "adaptrackPage.state()"
@@ -64,6 +68,14 @@ ENGINE = """
     cars: started.cars.map(({name, columns}, i) => ({name, columns, ended: ended[i], numbers: text(rows[i])}))};
 })"""
 """A drive of the page's engine in a worker of its own: what it began with, and the frames of each car."""
+
+
+def exported(folder: Path) -> Path:
+    """The page in a folder; a test is skipped where its kernels have not been built."""
+    try:
+        return at.export_page(folder / "drive.html")
+    except InvalidInput as error:
+        pytest.skip(str(error))
 
 
 def drive(

@@ -17,7 +17,7 @@ from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from browsers import BROWSERS, Chromium
-from pages import READY, STATE, differing, drive, served
+from pages import READY, STATE, differing, drive, exported, served
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
 CHROMIUM = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
@@ -26,7 +26,7 @@ CHROMIUM = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """The file."""
-    return at.export_page(tmp_path_factory.mktemp("page") / "drive.html")
+    return exported(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
@@ -86,14 +86,10 @@ def test_files_of_a_script_share_no_name():
 def test_scripts_of_the_page_can_be_read():
     if shutil.which("node") is None:
         pytest.skip("node is not installed")
-    parts = page_file.page_parts()
-    for script in (parts.script, parts.engine):
+    others = {each.name for each in page_file.SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(others)))):
         subprocess.run(["node", "--check", "-"], input=script, text=True, check=True)
         assert "</script" not in script
-
-
-def test_the_same_page_is_written_twice(page, tmp_path):
-    assert at.export_page(tmp_path / "again.html").read_bytes() == page.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -121,11 +117,12 @@ def run_command(monkeypatch, capsys, *words):
     return code, *capsys.readouterr()
 
 
-def test_the_command_writes_it_and_says_how_large_it_is(monkeypatch, capsys, tmp_path, page):
+def test_the_command_writes_the_same_page_and_says_how_large_it_is(monkeypatch, capsys, tmp_path, page):
     out = tmp_path / "new" / "drive.html"
     code, said, _ = run_command(monkeypatch, capsys, "--out", out, "--json")
     assert code == 0
     assert json.loads(said) == {"file": str(out), "bytes": out.stat().st_size}
+    assert out.read_bytes() == page.read_bytes()
 
 
 def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
@@ -146,8 +143,11 @@ def test_names_are_refused_by_their_own_kind(tmp_path):
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("way", ["disk", "server"])
-@pytest.mark.parametrize("name", BROWSERS)
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [("chromium", "disk"), ("chromium", "server"), ("firefox", "disk"),
+     pytest.param("firefox", "server", marks=pytest.mark.slow)],
+)  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
     kind, program, missing = BROWSERS[name]
     if program is None:
@@ -162,7 +162,7 @@ def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, p
         assert paths == ([] if way == "disk" else [f"/{page.name}"])
 
 
-def test_it_begins_with_what_it_was_exported_with(chromium, tmp_path):
+def test_it_begins_with_what_it_was_exported_with(chromium, page, tmp_path):
     along = np.linspace(0.0, 200.0, 41)
     points = np.stack([along, 3.0 * np.sin(along / 30.0)], axis=-1)
     car = at.vehicle_from_data_sheet("own", mass=1300.0, wheelbase=2.5)

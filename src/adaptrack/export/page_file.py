@@ -7,11 +7,13 @@ WebAssembly, and the data are compressed (gzip) and written as base64; `page/sta
 from __future__ import annotations
 
 import base64
+import contextlib
 import gzip
 import hashlib
 import json
+import logging
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -151,7 +153,21 @@ def page_parts() -> PageParts:
     others = {each.name for each in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
     page = (*FIRST, *sorted(others), *LAST)
     css = _text("viewer.css") + _text("page.css")
-    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), page_data())
+    with _quiet():
+        data = page_data()
+    return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), data)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without warnings: the page has every controller in every profile, also where one was made for another."""
+    log = logging.getLogger("adaptrack")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def write_page(path: str | os.PathLike[str], setup: Mapping[str, Any] | None = None) -> Path:
