@@ -36,15 +36,15 @@ def shot(
         page.wait(pages.READY)
         given = f"{{...adaptrackPage.state().setup, ...{json.dumps(setup)}}}"
         page.run(f"adaptrackPage.start({given}, {{playing: false}}).then(() => adaptrackPage.advance(600))")
-        page.run(f"{then}, adaptrackPage.seek({t})")
+        page.run(f"adaptrackPage.pause(), {then}, adaptrackPage.seek({t})")
         time.sleep(1.0)
         page.shoot(Path(folder) / "shot.png")
         return Image.open(Path(folder) / "shot.png").convert("RGB")
 
 
 def save(picture: Any, name: str) -> None:
-    """Write a picture with few colours."""
-    picture.quantize(64, dither=Image.Dither.NONE).save(IMAGES / name, optimize=True)
+    """Write a picture, small."""
+    picture.quantize(240, dither=Image.Dither.NONE).save(IMAGES / name, optimize=True)
     print(name, f"{(IMAGES / name).stat().st_size / 1e3:.0f} kB")
 
 
