@@ -5,6 +5,7 @@ import functools
 import numpy as np
 
 import adaptrack as at
+from adaptrack.core.frame import FRAME
 from adaptrack.export.page_data import page_car
 from adaptrack.export.page_setup import simulate_setup
 
@@ -93,6 +94,6 @@ def columns_of(trajectory):
     if trajectory.road:
         found["error"] = trajectory.road["offset"] - trajectory.y_ref
     for group in (trajectory.tuning, trajectory.diagnostics):
-        found |= {key: values.astype(float) for key, values in group.items()}
+        found |= {f"answered_{key}" if key in FRAME._fields else key: values.astype(float) for key, values in group.items()}
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}

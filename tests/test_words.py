@@ -38,9 +38,10 @@ MEANT = {
     "told": {"src/adaptrack/cli/evaluate_schedules.py": 1},
     "body": {
         "docs/extensions/mathml.py": 1, "src/adaptrack/__init__.py": 1, "src/adaptrack/cars/data_sheet.py": 8,
-        "src/adaptrack/cars/vehicle.py": 23,
+        "src/adaptrack/cars/vehicle.py": 22,
         "src/adaptrack/core/synthesis/car.py": 3, "src/adaptrack/cli/car.py": 7,
-        "src/adaptrack/core/build/header.py": 1,
+        "src/adaptrack/core/build/header.py": 1, "src/adaptrack/core/synthesis/plant.py": 12,
+        "src/adaptrack/export/page_data.py": 1, "src/adaptrack/export/page_inputs.py": 3,
         "src/adaptrack/peers/commonroad_plants.py": 3,
     },
 }  # fmt: skip

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(
-    help="Controllers for other programs: a C library, an FMU, a page for the browser.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
+    help="Controllers for C, for FMI, for a page in the browser.", no_args_is_help=True, rich_markup_mode=None
 )
 
 

@@ -127,7 +127,7 @@ _WRITTEN = (
 
 
 def _any_car() -> Vehicle:
-    """Nothing of it is told."""
+    """Nothing of it is said."""
     return load_vehicle("paper")
 
 

@@ -37,7 +37,7 @@ from adaptrack.core.synthesis.informed import Constants, Order, Parts
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, tyre_numbers
 from adaptrack.export.page_layout import calls, image, layouts, packed
-from adaptrack.export.page_setup import ROADS, TESTS, controller_of, page_road
+from adaptrack.export.page_setup import GENERATED, ROADS, TESTS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.ahead import pack_roads
 from adaptrack.road.speed import SPACING
@@ -164,7 +164,8 @@ def _road(name: str) -> dict[str, Any]:
     packed_road = pack_roads([made])
     return {
         "numbers": packed(packed_road.numbers[0]), "start": packed(packed_road.start),
-        "pieces": packed(packed_road.pieces), "closed": made.closed, "length": made.length, **_along(made),
+        "pieces": packed(packed_road.pieces), "closed": made.closed, "length": made.length,
+        "generated": GENERATED.get(name), **_along(made),
     }  # fmt: skip
 
 

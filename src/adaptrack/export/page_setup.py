@@ -15,7 +15,7 @@ A setup is plain data for JSON:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -48,21 +48,17 @@ def _oval() -> Road:
     return Road.from_segments([Line(length=200.0), *bend] * 2, closed=True, name="oval", speed_limit=40.0)
 
 
-ROADS: dict[str, Callable[[], Road]] = {
-    "mountain": lambda: generate_road("mountain", length=1500.0),
-    "country": lambda: generate_road("country", length=2500.0),
-    "town": lambda: generate_road("town", length=1200.0),
-    "motorway": lambda: generate_road("motorway", length=4000.0),
-    "lap": lambda: generate_road("lap", length=1500.0),
-    "oval": _oval,
-}
+GENERATED = {"mountain": 1500.0, "country": 2500.0, "town": 1200.0, "motorway": 4000.0, "lap": 1500.0}
+"""Kinds of `generate_road` and how long (m) they are on the page."""
+ROADS = (*GENERATED, "oval")
 """The ready-made roads: level, of one width and speed limit each."""
 
 
 @cache
 def page_road(name: str) -> Road:
     """A ready-made road of the page."""
-    return ROADS[name]().replace(name=name)
+    made = generate_road(name, length=GENERATED[name]) if name in GENERATED else _oval()
+    return made.replace(name=name)
 
 
 def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:

@@ -282,8 +282,8 @@ def _refuse(planning: Any, status: int, k: int, value: float) -> None:
         )
     if status in (kernel.START_TOO_FAST, kernel.END_TOO_FAST):
         name = "start" if status == kernel.START_TOO_FAST else "end"
-        asked = getattr(planning.bounds, name)
-        raise InvalidInput(f"plan_speed: {name} = {asked!r} m/s: must be at most {value:.4g} there.")
+        wanted = getattr(planning.bounds, name)
+        raise InvalidInput(f"plan_speed: {name} = {wanted!r} m/s: must be at most {value:.4g} there.")
     if status == kernel.CANNOT_BRAKE:
         raise InvalidInput(
             f"plan_speed: start = {planning.bounds.start:g} m/s: a car cannot brake in time; start at {value:.4g} m/s "

@@ -284,12 +284,12 @@ def upper_half(typingctx, x):
 
 @intrinsic
 def to_odd(typingctx, x, rest):
-    """x + rest rounded to odd, where x is the sum rounded and `rest` what that lost."""
+    """x + rest rounded to odd, where x is the sum rounded and `rest` what that dropped."""
 
     def codegen(context, builder, signature, args):
-        number, lost = (_integers(builder, each) for each in args)
+        number, dropped = (_integers(builder, each) for each in args)
         one = _filled(number.type, 1)
-        step = builder.or_(builder.ashr(builder.xor(number, lost), _filled(number.type, 63)), one)
+        step = builder.or_(builder.ashr(builder.xor(number, dropped), _filled(number.type, 63)), one)
         even = builder.sub(builder.and_(number, one), one)  # all bits set
         inexact = builder.sext(builder.fcmp_ordered("!=", args[1], _filled(args[1].type, 0.0)), number.type)
         moved = builder.add(number, builder.and_(step, builder.and_(even, inexact)))

@@ -46,17 +46,17 @@ def linked(content: bytes, stack: int = STACK) -> bytes:
     kind.
     """
     sections = list(_sections(content))
-    numbered = {kind: body for kind, _, body in sections if kind != 0}
-    custom = {name: body for kind, name, body in sections if kind == 0}
+    numbered = {kind: section for kind, _, section in sections if kind != 0}
+    custom = {name: section for kind, name, section in sections if kind == 0}
     _refuse_imports(numbered[IMPORT])
     if ELEMENT in numbered:
         raise ValueError("an object with a table of functions: only records hold their addresses")
     symbols = list(_symbols(custom["linking"]))
     code, data = (bytearray(numbered.get(kind, b"")) for kind in (CODE, DATA))
     places, end = _places(bytes(data), stack)
-    for name, body in (("reloc.CODE", code), ("reloc.DATA", data)):
+    for name, section in (("reloc.CODE", code), ("reloc.DATA", data)):
         if name in custom:
-            _relocate(body, Reader(custom[name]), symbols, places)
+            _relocate(section, Reader(custom[name]), symbols, places)
     own = Reader(numbered.get(GLOBAL, b"\0"))
     pointer = bytes([_I32, _MUTABLE, _CONST]) + _signed(stack) + bytes([_END])
     numbered |= {
@@ -77,14 +77,14 @@ def _sections(content: bytes) -> Iterator[tuple[int, str, bytes]]:
         raise ValueError("not an object file of WebAssembly")
     reader = Reader(content, 8)
     while reader.at < len(content):
-        kind, body = reader.byte(), reader.sized()
-        own = Reader(body)
+        kind, section = reader.byte(), reader.sized()
+        own = Reader(section)
         name = own.sized().decode() if kind == 0 else ""
         yield kind, name, own.rest()
 
 
-def _refuse_imports(body: bytes) -> None:
-    reader = Reader(body)
+def _refuse_imports(content: bytes) -> None:
+    reader = Reader(content)
     for _ in range(reader.number()):
         reader.sized()
         name, kind = reader.sized().decode(), reader.byte()
@@ -98,12 +98,12 @@ def _refuse_imports(body: bytes) -> None:
             reader.number()
 
 
-def _symbols(body: bytes) -> Iterator[_Symbol]:
+def _symbols(content: bytes) -> Iterator[_Symbol]:
     """Those of the linking section, in their order."""
-    reader = Reader(body)
+    reader = Reader(content)
     if reader.number() != 2:
         raise ValueError("an object with another version of linking metadata than 2")
-    while reader.at < len(body):
+    while reader.at < len(content):
         kind, table = reader.byte(), Reader(reader.sized())
         if kind != 8:
             continue
@@ -139,14 +139,14 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _places(data: bytes, base: int) -> tuple[list[int], int]:
     """Where each segment lies when the first one begins at `base`, and where all end."""
-    found = [(base + place, len(body)) for place, body in _segments(data)]
+    found = [(base + place, len(content)) for place, content in _segments(data)]
     return [place for place, _ in found], max((place + size for place, size in found), default=base)
 
 
 def _moved(data: bytes, places: list[int]) -> bytes:
     parts = [
-        bytes([0, _CONST]) + _signed(place) + bytes([_END]) + _sized(body)
-        for place, (_, body) in zip(places, _segments(data), strict=True)
+        bytes([0, _CONST]) + _signed(place) + bytes([_END]) + _sized(content)
+        for place, (_, content) in zip(places, _segments(data), strict=True)
     ]
     return _unsigned(len(parts)) + b"".join(parts)
 
@@ -174,8 +174,8 @@ def _exports(symbols: list[_Symbol]) -> bytes:
     )
 
 
-def _sized(body: bytes) -> bytes:
-    return _unsigned(len(body)) + body
+def _sized(content: bytes) -> bytes:
+    return _unsigned(len(content)) + content
 
 
 def _unsigned(value: int, width: int = 1) -> bytes:

@@ -323,8 +323,8 @@ def _lag_of(turning: Any) -> float:
 def on_curved_roads(mpc: Any) -> Any:
     """The same MPCs with room for the road ahead."""
     turning = mpc.feed.turning
-    seen = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
-    return mpc._replace(settings=seen.settings, bend=seen.bend, feed=seen.feed._replace(turning=turning))
+    made = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
+    return mpc._replace(settings=made.settings, bend=made.bend, feed=made.feed._replace(turning=turning))
 
 
 @inlined

@@ -53,7 +53,7 @@ def upper_half(x: Any) -> Any:
 
 @primitive
 def to_odd(x: Any, rest: Any) -> Any:
-    """x + rest rounded to odd, of floats or of eight at a time: x is their sum, and `rest` what its rounding lost.
+    """x + rest rounded to odd, of floats or of eight at a time: x is their sum, and `rest` what its rounding dropped.
 
     Of the two floats around an inexact sum it is the one whose last bit is set.
     """

@@ -241,7 +241,7 @@ def _fused(a, b, c):
     """(a b + c, rounded once; whether it is sure), of floats or of eight at a time: then of all.
 
     It is not where something overflows or digits underflow. Nor where what is left of the sum, rounded, makes it lie
-    halfway between two floats: what that rounding lost, which is less than its last digit, then decides.
+    halfway between two floats: what that rounding dropped, which is less than its last digit, then decides.
     """
     s, rest, low = _exact_parts(a, b, c)
     left_over = rest + low

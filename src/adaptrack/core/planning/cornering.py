@@ -103,14 +103,14 @@ def cornering_limits(plant, steering_limit, friction, limits):
     most = STEERING_LIMIT if math.isnan(steering_limit) else steering_limit
     tightest = tan(min(most, _STEEPEST)) / (car.lf + car.lr)
     for j in range(BENDS):
-        held, lost = 0, _SHARES
-        while lost - held > 1:
-            i = (held + lost) // 2
+        held, failed = 0, _SHARES
+        while failed - held > 1:
+            i = (held + failed) // 2
             acceleration = i * (_LARGEST_SHARE / (_SHARES - 1)) * friction * GRAVITY
             if _is_held(acceleration, tightest / (BENDS - 1) * j, most, friction, car):
                 held = i
             else:
-                lost = i
+                failed = i
         limits[j] = held * (_LARGEST_SHARE / (_SHARES - 1)) * friction * GRAVITY
     return tightest
 

@@ -129,12 +129,12 @@ def complete_samples(period, samples):
     """
     bank_pull(samples[SIGNAL.bank])
     _, count = samples.shape
-    asked = samples[SIGNAL.known_friction]  # until it is written
+    lateral = samples[SIGNAL.known_friction]  # until it is written
     for k in range(count):
-        asked[k] = abs(samples[SIGNAL.acceleration, k]) * (samples[SIGNAL.speed, k] * samples[SIGNAL.speed, k])
+        lateral[k] = abs(samples[SIGNAL.acceleration, k]) * (samples[SIGNAL.speed, k] * samples[SIGNAL.speed, k])
     reference_ahead(period, samples[SIGNAL.y_ref], samples[SIGNAL.change], samples[SIGNAL.acceleration])
     for k in range(count):
-        samples[SIGNAL.acceleration, k] += asked[k]
+        samples[SIGNAL.acceleration, k] += lateral[k]
         friction = 0.0
         for wheel in range(4):
             friction += samples[SIGNAL.friction_front_left + wheel, k]

@@ -282,7 +282,7 @@ def _gained(k, w, ceiling, car, planning):
 
 
 @inlined
-def _lost(k, w, ceiling, car, planning):
+def _before_braking(k, w, ceiling, car, planning):
     """v^2 at the place before, with the deceleration that is possible at both ends."""
     way = 2.0 * (planning.table[PLAN.s, k + 1] - planning.table[PLAN.s, k])
     reached = max(min(ceiling, w + way * _brake(k, w, car, planning)), 0.0)
@@ -311,7 +311,7 @@ def _pass(car, planning):
         if lap > 0:
             _close(w)
         for k in range(w.size - 2, -1, -1):
-            w[k] = min(w[k], _lost(k, w[k + 1], w[k], car, planning))
+            w[k] = min(w[k], _before_braking(k, w[k + 1], w[k], car, planning))
 
 
 @exported(several(int64, int64, float64)(Planning))

@@ -26,11 +26,6 @@ from .operations import advance, copy_bounds, find_gaps, magnitude
 from .problem import CAPPED, HILDRETH, NON_FINITE, ROW_VECTORS, SOLVED, work_of
 from .unconstrained import unconstrained
 
-SWEEPS = 38
-"""Sweeps after which the authors' procedure stops."""
-TOLERANCE = 1e-7
-"""The authors' procedure stops when a sweep changes the multipliers by less than this, squared and summed."""
-
 CERTIFIED = 1e-9
 """The result counts as solved when the rows hold to this part of 1 + |gamma_j|."""
 

@@ -40,11 +40,12 @@ function pythonWorld(profile, truth = {}) {
   return lines;
 }
 
-const LENGTHS = {mountain: 1500, country: 2500, town: 1200, motorway: 4000, lap: 1500};  // m, as the page's roads were made
+// m, of a road that `generate_road` makes; else nothing
+const generatedLength = ({name, points}) => points ? null : page.data.roads[name]?.generated ?? null;
 
 function pythonRoad(road, surface) {
   if (road.points) return `at.road_through(${road.points.length > MOST_DRAWN ? "points" : JSON.stringify(road.points)}, closed=${road.closed ? "True" : "False"}${surface && `, ${surface}`})`;
-  if (LENGTHS[road.name]) return `at.generate_road(${text(road.name)}, length=${LENGTHS[road.name]}${surface && `, ${surface}`})`;
+  if (generatedLength(road)) return `at.generate_road(${text(road.name)}, length=${generatedLength(road)}${surface && `, ${surface}`})`;
   return `page_road(${text(road.name)})${surface && `.replace(${surface})`}`;
 }
 
@@ -55,9 +56,9 @@ function pythonDrive(road, speed, truth = {}) {
     return [`drive = at.load_scenario(${text(road.test)})${changed && `.replace(${changed})`}`];
   }
   const lines = [], planned = !given(speed?.constant);
-  if (!road.points && !LENGTHS[road.name]) lines.push("from adaptrack.export.page_setup import page_road");
+  if (!road.points && !generatedLength(road)) lines.push("from adaptrack.export.page_setup import page_road");
   if (planned) lines.push("from adaptrack.road import Comfort");
-  if (road.points?.length > MOST_DRAWN) lines.push(`points = ...  # x, y of your file ${road.name ?? ""}, m`);
+  if (road.points?.length > MOST_DRAWN) lines.push("from adaptrack.road.points import read_points", `points = read_points(${text(`${road.name ?? "road"}.csv`)}).points`);
   lines.push(`road = ${pythonRoad(road, "")}`);
   if (planned) lines.push(`plan = at.plan_speed(road, car, Comfort(lateral=${pythonNumber(speed?.lateral ?? TOP.lateral)}))`);
   if (friction) lines.push(`road = ${pythonRoad(road, friction)}  # as it is; the plan does not know`);
@@ -87,7 +88,7 @@ function commandOf(setup) {
   const parts = road.test ? ["adaptrack simulate", road.test] : ["adaptrack drive", road.points ? "road.csv" : road.name];
   parts.push(`--vehicle ${vehicle}`, `--profile ${profile}`);
   if (!road.test) parts.push(given(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
-  if (LENGTHS[road.name]) parts.push(`--length ${LENGTHS[road.name]}`);
+  if (generatedLength(road)) parts.push(`--length ${generatedLength(road)}`);
   if (seed) parts.push(`--seed ${seed}`);
   const names = {informed: "informed", learning: "informed", published: "standard", "pure-pursuit": "pure-pursuit", stanley: "stanley", lqr: "lqr"};
   for (const {kind, tuning, belief} of controllers) {

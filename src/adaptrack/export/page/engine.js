@@ -81,7 +81,7 @@ function carRun(entry, made, where) {
     const controller = controllerOf(entry, car, own.world, where);
     Object.assign(own, ready(own, controller, made));
   });
-  own.columns = [...written.frame, ...own.parts.said];
+  own.columns = [...written.frame, ...own.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name))];
   own.horizon = own.run.mpc.settings.longest_horizon;
   own.moves = own.run.mpc.settings.most_moves;
 }
