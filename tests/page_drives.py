@@ -94,6 +94,7 @@ def columns_of(trajectory):
     if trajectory.road:
         found["error"] = trajectory.road["offset"] - trajectory.y_ref
     for group in (trajectory.tuning, trajectory.diagnostics):
-        found |= {f"answered_{key}" if key in FRAME._fields else key: values.astype(float) for key, values in group.items()}
+        for key, values in group.items():
+            found[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}

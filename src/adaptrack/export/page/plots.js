@@ -600,26 +600,28 @@ function makeMovesPlot(spec, history, clock) {
   };
   canvas.setAttribute("role", "img");
 
+  // The different limits (rad) of the cars' plans.
+  const limitsOfMoves = () => [...new Set(history.cars.map(car => movesOf(car)?.most).filter(Number.isFinite))];
   const movesOf = car => car.count ? car.moves?.(indexAt(car.columns.time, car.count, clock.shown)) ?? null : null;
 
   function paint() {
     const {pen} = frame, [wide, high] = frame.inside;
     pen.setTransform(frame.dense, 0, 0, frame.dense, 0, 0);
     pen.clearRect(0, 0, frame.width, frame.height);
-    let most = 0, count = 1, limit = NaN;
+    let most = 0, count = 1;
     for (const car of history.cars) {
       const plan = movesOf(car);
       if (!plan) continue;
       count = Math.max(count, plan.count);
-      if (Number.isFinite(plan.most)) limit = plan.most * scale;
       for (let j = 0; j < plan.count; j++) most = Math.max(most, Math.abs(plan.values[j] * scale));
     }
-    if (limit < 6 * most) most = Math.max(most, limit);  // a limit that is far away would hide the moves
+    const limits = limitsOfMoves().map(limit => limit * scale), reach = 6 * most;
+    for (const limit of limits) if (limit < reach) most = Math.max(most, limit);  // one that is far away would hide the moves
     axis.fit(-most, most);
     const y = value => MARGIN.top + (1 - axis.share(value)) * high;
     drawMovesAxes(pen, wide, high, count, y);
     history.cars.forEach((car, k) => drawBars(pen, movesOf(car), k, wide / count, y));
-    if (Number.isFinite(limit)) drawMoveLimits(pen, limit, wide, y);
+    drawMoveLimits(pen, limits, wide, y);
   }
 
   function drawMovesAxes(pen, wide, high, count, y) {
@@ -657,12 +659,12 @@ function makeMovesPlot(spec, history, clock) {
     }
   }
 
-  function drawMoveLimits(pen, limit, wide, y) {
+  function drawMoveLimits(pen, limits, wide, y) {
     pen.strokeStyle = palette.warn;
     pen.lineWidth = 1.2;
     pen.setLineDash([10, 4]);
     pen.beginPath();
-    for (const value of [limit, -limit]) {
+    for (const value of limits.flatMap(limit => [limit, -limit])) {
       if (Math.abs(value) > axis.high * 1.001) continue;
       pen.moveTo(MARGIN.left, y(value));
       pen.lineTo(MARGIN.left + wide, y(value));
@@ -678,8 +680,7 @@ function makeMovesPlot(spec, history, clock) {
       const plan = movesOf(car);
       write(values[k], plan ? inUnits(plan.values[0]) : "–");
     });
-    const limit = history.cars.map(movesOf).find(plan => plan && Number.isFinite(plan.most));
-    write(frame.limit, limit ? ` limit ±${inUnits(limit.most)}` : "");
+    write(frame.limit, limitsOfMoves().map((limit, k) => ` ${k ? "and" : "limit"} ±${inUnits(limit)}`).join(""));
     canvas.setAttribute("aria-label", describe());
   }
 
