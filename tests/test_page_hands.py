@@ -118,7 +118,8 @@ def test_who_is_told_believes_what_is_true(shown):
     click(shown, "told")
     slide(shown, "lag", 0.5)
     shown.wait(f"{STATE}.setup.controllers[0].belief?.lag === 0.5", 5)
-    assert drive(shown, 200)[0]["most"] < 0.2
+    shown.wait(f"!{STATE}.touching", 5)
+    assert drive(shown, 200)[0]["most"] < 0.1
 
 
 def test_a_new_drive_goes_on_while_it_plays(shown):

@@ -18,6 +18,7 @@ pytestmark = [
     pytest.mark.skipif(INTERPRETED, reason="whole drives"),
     pytest.mark.skipif(NODE is None, reason="no Node on the path (Debian: apt install nodejs)"),
 ]
+ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.ROADS}
 FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
 
 
@@ -25,7 +26,7 @@ def asked(expression, given=None):
     """The value of an expression among the page's scripts; given: what `asked` is in it."""
     script = "\n".join((SOURCES / name).read_text() for name in FILES)
     whole = f"""
-    const asked = {json.dumps(given)}, page = {{setup: null}};
+    const asked = {json.dumps(given)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
     {script.replace('"use strict";', "")}
     process.stdout.write(JSON.stringify({expression}));"""
     found = subprocess.run([NODE, "-"], input=whole, capture_output=True, text=True, timeout=60, check=True)

@@ -488,7 +488,7 @@ window.adaptrackPage = {
   state() {
     const {drive, clock, setup} = page;
     return {
-      setup, t: clock.t, end: clock.end, playing: clock.playing, rate: clock.rate, over: drive?.over ?? null,
+      setup, t: clock.t, end: clock.end, playing: clock.playing, rate: clock.rate, over: drive?.over ?? null, touching: sending,
       notice: byId("notice").hidden ? "" : byId("notice").textContent,
       events: drive?.history.events.map(({time, text}) => ({time, text})) ?? [],
       cars: drive?.history.cars.map(car => ({
