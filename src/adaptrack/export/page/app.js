@@ -216,7 +216,7 @@ function takeFrames(history, frames) {
 // Before each picture: what will be shown soon is asked for.
 function driveAhead(now, clock) {
   const {drive} = page;
-  if (!drive || drive.busy || drive.over) return;
+  if (!drive || drive.busy || drive.over || waiting.size) return;  // what was touched acts first
   const {period} = drive.history;
   const lead = !clock.playing ? LEAST_AHEAD * period
     : clock.rate === Infinity ? Infinity
@@ -229,7 +229,7 @@ function driveAhead(now, clock) {
 async function advanceBy(periods) {
   let left = periods;
   while (left > 0 && page.drive && !page.drive.over) {
-    if (page.drive.busy) {
+    if (page.drive.busy || waiting.size) {
       await new Promise(done => setTimeout(done, 2));
       continue;
     }
