@@ -22,12 +22,8 @@ class PageOptions:
         str,
         Option("--road", metavar="ROAD", help="motorway, country, town, mountain, lap, or a .csv file of x, y (m)."),
     ] = "mountain"
-    speed: Annotated[
-        float | None, Option("--speed", metavar="V", help="Constant speed (m/s); by default one that is planned.")
-    ] = None
-    lateral_acceleration: Annotated[
-        float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
-    ] = None
+    speed: options.Speed = None
+    lateral_acceleration: options.LateralAcceleration = None
     profile: Annotated[str, Option("--profile", metavar="NAME", help="paper, road or production.")] = "road"
     controller: Annotated[
         list[str] | None,

@@ -87,6 +87,12 @@ Tyre = Annotated[
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
 ]
+Speed = Annotated[
+    float | None, Option("--speed", metavar="V", help="Constant speed (m/s); by default one that is planned.")
+]
+LateralAcceleration = Annotated[
+    float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
+]
 Tuned = Annotated[
     TunedName | None,
     Option(

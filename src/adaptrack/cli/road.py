@@ -35,12 +35,8 @@ RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS}")]
 class RoadOptions:
     """Which road a name stands for, and how fast it is driven: options of every command that takes a road."""
 
-    speed: Annotated[
-        float | None, Option("--speed", metavar="V", help="Constant speed (m/s); by default one that is planned.")
-    ] = None
-    lateral_acceleration: Annotated[
-        float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
-    ] = None
+    speed: options.Speed = None
+    lateral_acceleration: options.LateralAcceleration = None
     max_deviation: Annotated[
         float | None,
         Option(

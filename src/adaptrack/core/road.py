@@ -66,16 +66,21 @@ difference of feet that are one."""
 
 
 @inlined
-def piece_below(s, start):
-    """The last piece that begins at or before s, 0 <= s <= length."""
-    low, high = 0, start.size - 1
+def last_between(value, ascending, low, high):
+    """The last place before `high` whose number is at or below a value; `low`, which is not looked at, without one."""
     while high - low > 1:
         middle = (low + high) // 2
-        if start[middle] <= s:
+        if ascending[middle] <= value:
             low = middle
         else:
             high = middle
     return low
+
+
+@inlined
+def piece_below(s, start):
+    """The last piece that begins at or before s, 0 <= s <= length."""
+    return last_between(s, start, 0, start.size - 1)
 
 
 @inlined

@@ -6,6 +6,7 @@ import math
 
 from .kernel import exported, float64, inlined, int64, record, vector, void
 from .maths.exact import floor, sqrt, square
+from .road import last_between
 
 SpeedPlan = record(
     "SpeedPlan", (("s", vector), ("speed", vector), ("time", vector), ("duration", float64), ("closed", int64))
@@ -16,14 +17,7 @@ SpeedPlan = record(
 @inlined
 def last_at(place, s):
     """The last of ascending s[k] <= `place`; -1 before the first, and for NaN."""
-    low, high = -1, s.size
-    while high - low > 1:
-        middle = (low + high) // 2
-        if s[middle] <= place:
-            low = middle
-        else:
-            high = middle
-    return low
+    return last_between(place, s, -1, s.size)
 
 
 @inlined
