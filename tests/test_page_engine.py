@@ -253,6 +253,21 @@ def test_a_wheel_that_is_pulled_is_let_go_again(ask):
     assert apart[-1] < 0.01
 
 
+@pytest.mark.slow
+def test_ice_that_is_laid_on_a_later_lap_lies_there_and_on_the_laps_after_it(ask):
+    lap = page_setup.page_road("oval").length
+    setup = {**TOUCHED, "road": {"name": "oval"}, "speed": {"constant": 15.0}}
+    laid = changed({"ice": {"from": 1.99 * lap, "to": 2.02 * lap, "friction": 0.4}})
+    answers = ask({"type": "start", "id": 1, "setup": setup}, advanced(300), laid, *[advanced(1500)] * 3)
+    assert refused(answers) == []
+    (found,) = frames(answers)
+    within = (found["station"] % lap > 0.995 * lap) | (found["station"] % lap < 0.015 * lap)
+    later = within & (found["station"] > 1.9 * lap)
+    assert found["station"][-1] > 3.1 * lap
+    assert (found["friction"][later] == 0.4).all()
+    assert (found["friction"][found["station"] < 1.9 * lap] > 0.4).all()
+
+
 # -- bounds -----------------------------------------------------------------------------------------------------------
 def _wrong(**changes):
     return {"type": "start", "id": 1, "setup": {**TOUCHED, **changes}}

@@ -96,6 +96,9 @@ const page = {
   },
 };
 
+// A sentence, with its full stop.
+const asSentence = text => text.replace(/\.?$/, ".");
+
 // As many sentences of a long message as one reads.
 const MOST_LETTERS = 300;
 function shortened(text) {
@@ -169,7 +172,7 @@ const WHERE = {
   "controller 2": "The second controller",
 };
 function refused(error, setup) {
-  const sentence = error.message.replace(/\.?$/, ".");
+  const sentence = asSentence(error.message);
   page.notice(error instanceof Refusal && WHERE[error.where] ? `${WHERE[error.where]}: ${sentence}` : sentence);
   page.tell("refused", error, setup);
 }
@@ -242,25 +245,27 @@ async function advanceBy(periods) {
 
 // ---- what is touched
 
-// what: as in the engine's message; said: the event in words, {key} joins the touches of one gesture.
+// what: as in the engine's message; said: the event in words, {key} joins the touches of one gesture. Whether it was done.
 async function change(car, what, {text, key = null} = {}) {
   const {drive, clock} = page;
-  if (!drive || beginning) return;
+  if (!drive || beginning) return false;
   if (drive.over) {  // the drive is over: what was touched acts on the next one
-    if (page.driveOver === drive) return;
+    if (page.driveOver === drive) return false;
     page.driveOver = drive;
     await start(page.setup, {playing: true}).catch(() => {});
-    return;
+    return false;
   }
   if (clock.t < clock.end - 2) clock.seek(clock.end);
   try {
     const answer = await page.engine.ask({type: "change", car, what});
-    if (drive !== page.drive) return;
+    if (drive !== page.drive) return false;
     mark(drive, answer.at ?? clock.end, text, key);
     page.tell("changed", car, what);
+    return true;
   } catch (error) {
-    if (drive === page.drive && error.where !== "replaced") page.notice(error.message.replace(/\.?$/, "."));
+    if (drive === page.drive && error.where !== "replaced") page.notice(asSentence(error.message));
   }
+  return false;
 }
 
 function mark(drive, time, text, key) {
@@ -353,8 +358,7 @@ const wordsOfEnd = car => String(car.ended?.why ?? "failed").replace(/^it /i, ""
 // What happened, and what helps.
 function failureSentence(car, i) {
   const {setup} = page, controller = setup.controllers[i] ?? {};
-  const who = page.drive.history.cars.length > 1 ? `The ${i ? "second" : "first"} car` : "The car";
-  return `${who} ${wordsOfEnd(car)} at ${car.failed.toFixed(1)} s: ${remedy(setup, controller, i)}.`;
+  return `${nameOfCarAt(i)} ${wordsOfEnd(car)} at ${car.failed.toFixed(1)} s: ${remedy(setup, controller, i)}.`;
 }
 
 function remedy(setup, controller, i) {

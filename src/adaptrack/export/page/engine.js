@@ -406,12 +406,13 @@ function afterPull(own, driven) {
   applyTruth(own, own.run.settings.steering_lag);
 }
 
-/** A patch of ice between two stations (m) of the road, on every lap. */
+/** A patch of ice between two stations (m) of the road, on every lap from the first one that comes there. */
 function ice(cars, { from, to, friction }) {
   if (drive.of.test) throw new Refusal("ice", "The paper's tests have no stations: lay ice on a road.");
   const { length } = drive.of, slippery = checked("ice", "friction", friction);
-  if (!(from >= 0 && to > from && to <= length)) {
-    const on = `it must lie on the road, 0 to ${length.toFixed(1)} m`;
+  const { closed } = drive.of;  // there stations go on over all laps
+  if (!(from >= 0 && to > from && (closed ? to - from <= length : to <= length))) {
+    const on = `it must lie on the road, ${closed ? "less than a lap long" : `0 to ${length.toFixed(1)} m`}`;
     throw new Refusal("ice", `The ice lies from ${from} to ${to} m: ${on}.`);
   }
   (drive.ice ??= []).push({ from, to, friction: slippery });
@@ -423,9 +424,10 @@ function layIce() {
   if (!drive.ice) return;
   const { length, closed } = drive.of, station = sampled("station"), rows = FRICTION.map(sampled);
   station.forEach((s, k) => {
-    const place = closed ? s % length : s;
-    for (const { from, to, friction } of drive.ice)
-      if (place >= from && place <= to) for (const row of rows) row[k] = friction;
+    for (const { from, to, friction } of drive.ice) {
+      const place = closed ? (s - from) % length : s - from;
+      if (place >= 0 && place <= to - from) for (const row of rows) row[k] = friction;
+    }
   });
 }
 

@@ -211,7 +211,7 @@ async function takeFile(file, what, others = {}) {
   try {
     await takeText(await file.text(), kind, file.name.replace(/\.[^.]*$/, ""), file.name, others);
   } catch (error) {
-    page.notice(`${file.name}: ${error.message.replace(/\.?$/, ".")}`);
+    page.notice(`${file.name}: ${asSentence(error.message)}`);
   }
 }
 

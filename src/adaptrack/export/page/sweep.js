@@ -21,7 +21,7 @@ function setUpSweep() {
     try {
       await runSweep();
     } catch (error) {
-      setText(byId("sweep-words"), error.message.replace(/\.?$/, "."));
+      setText(byId("sweep-words"), asSentence(error.message));
     }
     button.textContent = named;
   };
@@ -97,7 +97,7 @@ function sentenceOf({name, borne, lost, tried}, alone) {
   if (lost === Infinity) return `${who} bears all that was tried, ${borne.toFixed(2)} s of lag: it stays within ${lengthText(best.most)} of its line.`;
   const off = tried.find(each => each.failed);
   return `${who} bears ${borne.toFixed(2)} s of lag: to there it stays within ${to} of its line, at ${lost.toFixed(2)} s no more` +
-    `${off ? `, and at ${off.lag.toFixed(2)} s it is lost` : ""}.`;
+    `${off ? `, and at ${off.lag.toFixed(2)} s the drive fails` : ""}.`;
 }
 
 function showSweep(found, lag) {

@@ -202,10 +202,12 @@ function tellTruth(name, value, time = page.clock.end) {
 
 // ---- a push, a pull, ice, sensors
 
+// Whether it was done.
 function once(what, text, car = null, detail = {}) {
   page.drive?.touches.push({...what, ...detail});
-  change(car, what, {text});
+  const done = change(car, what, {text});
   page.tell("touched", {id: Object.keys(what)[0]}, what);
+  return done;
 }
 
 const leftRight = value => value > 0 ? "left" : "right";
@@ -218,13 +220,13 @@ function pushByDrag(car, {y}) {
 const nameOfCarAt = car => page.setup.controllers.length > 1 ? `The ${car ? "second" : "first"} car` : "The car";
 const pull = sign => once({pull: {angle: sign * PULL.angle, duration: PULL.duration}}, `Wheel pulled to the ${leftRight(sign)}, 2° for 1 s`);
 
-function layIce() {
+async function layIce() {
   const {history} = page.drive ?? {};
   if (!history) return;
   const stations = history.cars.map(car => car.count ? car.columns.station?.[car.count - 1] : NaN).filter(Number.isFinite);
   const from = Math.max(0, ...stations) + ICE.behind, to = from + ICE.length;
-  history.patches.push({from, to, friction: ICE.friction});
-  once({ice: {from, to, friction: ICE.friction}}, `Ice laid ${ICE.behind} m ahead, ${ICE.length} m long, friction ${ICE.friction}`);
+  const patch = {from, to, friction: ICE.friction};
+  if (await once({ice: {...patch}}, `Ice laid ${ICE.behind} m ahead, ${ICE.length} m long, friction ${ICE.friction}`)) history.patches.push(patch);
 }
 
 function makeSensors() {

@@ -85,7 +85,6 @@ function makeBounds() {
 // ---- the view
 
 const LEAST_SCALE = 0.002, MOST_SCALE = 200;  // px/m
-const CAR_DASHES = [[], [7, 4]];
 
 function makeRoadView(canvas, history, clock, options = {}) {
   const screen = canvas.getContext("2d"), still = document.createElement("canvas"), stillPen = still.getContext("2d");

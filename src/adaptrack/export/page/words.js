@@ -20,7 +20,7 @@ function wordsOfPage() {
 }
 
 function wordsOfCar(car, i, t) {
-  const who = page.setup.controllers.length > 1 ? `The ${i ? "second" : "first"} car, ${nameOfCar(i)},` : "The car";
+  const who = nameOfCarAt(i) + (page.setup.controllers.length > 1 ? `, ${nameOfCar(i)},` : "");
   if (hasFailed(car, t)) return failureSentence(car, i);
   const at = (name, step) => valueAt(car, name, t, step), whole = errorBetween(car, 0, t), last = errorBetween(car, t - WINDOW, t);
   const error = at(car.columns.error ? "error" : "offset"), wheels = degrees(at("wheel_angle"));
