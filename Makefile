@@ -13,13 +13,12 @@ help: ## list the targets
 
 install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
 
-$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/kernels -name '*.py') $(shell find src/adaptrack/export -name '*.[ch]')
+$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/kernels -name '*.py')
 	@command -v ld ld.lld > /dev/null || { \
 	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
 	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \
 	  $(PIP) install --no-deps --require-hashes --target build/linker -r build/linker.txt; }
-	PYTHONPATH=build/linker $(BIN)/python -m adaptrack.core.build --export wasm32-page
-	PYTHONPATH=build/linker $(BIN)/python -m adaptrack.export.fmu_build
+	@PYTHONPATH=build/linker $(BIN)/python -m adaptrack.core.build
 	@rm -rf build/linker
 
 $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py

@@ -1,5 +1,6 @@
 """Building the library: whatever goes wrong or on beside it, what is there afterwards is whole."""
 
+import ctypes
 import hashlib
 import json
 import os
@@ -7,9 +8,9 @@ import resource
 import shutil
 import tarfile
 import time
-from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from adaptrack.core import library
@@ -17,9 +18,12 @@ from adaptrack.core import library
 builder = pytest.importorskip("adaptrack.core.build.library", reason="what builds the library", exc_type=ImportError)
 llvm = pytest.importorskip("llvmlite.binding")
 
+from adaptrack.core.build import emission, numba_functions  # noqa: E402
 from adaptrack.core.build.exports import EXPORTS, archive, emit_export, shipped  # noqa: E402
 from adaptrack.core.build.objects import undefined  # noqa: E402
 from adaptrack.core.build.rules import violations  # noqa: E402
+from adaptrack.core.kernel import EXPORTED  # noqa: E402
+from adaptrack.core.maths.values import NAMES  # noqa: E402
 
 pytestmark = pytest.mark.compiled
 
@@ -39,24 +43,20 @@ def quick(tmp_path, monkeypatch):
     """A folder for the library, and a builder that compiles nothing: its library is "new"."""
     folder = tmp_path / "built"
     folder.mkdir()
-    pool = SimpleNamespace(apply_async=lambda function, given: SimpleNamespace(get=lambda: b"new"))
     monkeypatch.setattr(library, "BUILT", folder)
     monkeypatch.setattr(builder, "kernels_of", lambda rooms: {})
-    monkeypatch.setattr(builder, "_module", lambda kernels: "")
+    monkeypatch.setattr(builder, "modules", lambda kernels, stages: [])
     monkeypatch.setattr(builder, "header", lambda kernels: "")
-    monkeypatch.setattr(builder, "finished", lambda name, content: ("so", content))
-    monkeypatch.setattr(
-        builder.multiprocessing, "get_context", lambda _: SimpleNamespace(Pool=lambda _: nullcontext(pool))
-    )
+    monkeypatch.setattr(builder, "_emitted", lambda what, name, paths: (f"{what}-{name}", "o", b"new"))
     return folder
 
 
 def test_a_library_that_another_build_has_made_meanwhile_is_kept(quick, monkeypatch):
-    def meanwhile(kernels):
+    def meanwhile(kernels, stages):
         enter(quick, {"aarch64": b"theirs"}, library.source_hashes())
-        return ""
+        return []
 
-    monkeypatch.setattr(builder, "_module", meanwhile)
+    monkeypatch.setattr(builder, "modules", meanwhile)
     builder.build()
     assert set(builder._built()) == {library.processor(), "aarch64"}
 
@@ -83,7 +83,7 @@ def test_sources_that_are_edited_while_they_are_read_make_no_library(quick, monk
     monkeypatch.setattr(library, "PACKAGE", tmp_path)
     with pytest.raises(builder.BuildError, match="edited"):
         builder.build()
-    assert list(quick.iterdir()) == []
+    assert [path.name for path in quick.iterdir()] == ["lock"]
 
 
 def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -105,7 +105,7 @@ def test_without_a_linker_the_build_says_what_to_install(monkeypatch):
     monkeypatch.setattr(builder.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(builder, "undefined", lambda content: [])
     with pytest.raises(builder.BuildError, match="no linker: install binutils or lld"):
-        builder.finished(library.processor(), b"")
+        builder.finished(library.processor(), [b""])
 
 
 @pytest.mark.parametrize(
@@ -145,10 +145,61 @@ def test_a_kernel_that_converts_or_shifts_without_bounds_is_found(name, line, br
     assert all(broken in each for each in found)
 
 
-def test_a_build_with_a_kernel_that_breaks_a_rule_is_refused(quick, monkeypatch):
-    monkeypatch.setattr(builder, "_module", lambda kernels: function(OTHER, "%1 = shl i64 1, %n"))
-    with pytest.raises(builder.BuildError, match=r"road\.far shifts"):
-        builder.build()
+@pytest.fixture
+def one_kernel(tmp_path, monkeypatch):
+    """A function of the text of a kernel: makes its module and returns its file with the number of compilations."""
+    monkeypatch.setattr(library, "BUILT", tmp_path)
+    kernels = {"elementary_values": EXPORTED["elementary_values"]}
+
+    def make(text):
+        calls = []
+        monkeypatch.setattr(numba_functions, "module_of", lambda kernels: calls.append(1) or llvm.parse_assembly(text))
+        return builder.modules(kernels, builder._Stages()), len(calls)
+
+    return make
+
+
+def test_a_build_with_a_kernel_that_breaks_a_rule_is_refused_each_time(one_kernel):
+    for _ in range(2):
+        with pytest.raises(builder.BuildError, match=r"road\.far shifts"):
+            one_kernel(function(OTHER, "%1 = shl i64 1, %n"))
+
+
+def test_a_file_of_kernels_is_compiled_again_only_when_one_of_its_sources_has_changed(one_kernel, monkeypatch):
+    text = function(OTHER, "%1 = ashr i64 %n, 52")
+    (first, compiled), (again, compiled_again) = one_kernel(text), one_kernel(text)
+    assert (compiled, compiled_again, again) == (1, 0, first)
+    hashes = dict(library.source_hashes())
+    monkeypatch.setattr(library, "source_hashes", lambda: hashes)
+    hashes["core/period.py"] = "edited"  # none of its sources
+    assert one_kernel(text) == (first, 0)
+    hashes["core/kernel.py"] = "edited"
+    assert one_kernel(text)[1] == 1
+
+
+def test_kernels_of_two_objects_call_each_other_and_give_the_bits_of_one(tmp_path):
+    kernels = builder.kernels_of(["adaptrack.core.maths"])
+    caller = kernels["elementary_values"]
+    callees = [kernel for name, kernel in kernels.items() if kernel is not caller]
+    objects, paths = [], []
+    for group in ([caller], callees):
+        path = tmp_path / f"{len(paths)}.bc"
+        path.write_bytes(numba_functions.module_of(group).as_bitcode())
+        paths.append(path)
+        objects.append(emission.emit_files([path], library.processor(), alone=False))
+    assert any(symbol.startswith(emission.BODY) for symbol in undefined(objects[0]))
+    answers = []
+    for parts in (objects, [emission.emit_files(paths, library.processor())]):
+        file = tmp_path / f"{len(parts)}.so"
+        file.write_bytes(builder.finished(library.processor(), parts)[1])
+        call = ctypes.CDLL(str(file)).adaptrack_elementary_values
+        call.argtypes, call.restype = caller.signature.prototype._argtypes_, None
+        arguments, values = np.linspace(0.01, 0.99, 90).reshape(3, 30), np.zeros((len(NAMES), 30))
+        for i, row in enumerate(values):
+            call(i, arguments.ctypes.data, *arguments.shape, row.ctypes.data, row.size)
+        answers.append(values)
+    assert answers[0].tobytes() == answers[1].tobytes()
+    assert (np.isfinite(answers[0]).sum(axis=1) > 0).all()
 
 
 # -- what other programs take in --------------------------------------------------------------------------------------
@@ -171,11 +222,8 @@ def test_what_is_packed_is_found_in_the_archive_and_a_damaged_file_is_not(quick,
 
 
 def test_a_wheel_holds_objects_for_its_processors_and_for_pages():
-    assert shipped(["x86-64", "x86-64-v3", "x86-64-v4"], portable=True) == [
-        "x86-64", "x86-64-v3", "wasm32", "wasm32-page",
-    ]  # fmt: skip
-    assert shipped(["x86-64-v4"], portable=False) == ["x86-64-v3"]
-    assert shipped(["aarch64"], portable=False) == ["aarch64"]
+    processors = ["x86-64", "x86-64-v3", "x86-64-v4"]
+    assert shipped(processors) == ["x86-64", "x86-64-v3", "wasm32", "wasm32-page"]
 
 
 CALLS = """

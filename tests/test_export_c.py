@@ -70,7 +70,7 @@ class Plan(ctypes.Structure):
 def _exports_are_built():
     exported.compiler()
     try:
-        library.export_of(TARGET)
+        library.exported(TARGET)
     except library.UNUSABLE:
         pytest.skip(f"the kernels that are exported have not been compiled: {library.BUILD}")
 

@@ -86,12 +86,13 @@ def test_a_kernel_that_calls_what_the_library_lacks_is_refused_in_words():
         }
     """
     pytest.importorskip("llvmlite", reason="what builds the library")
-    from adaptrack.core.build import library as builder
+    from adaptrack.core.build import emission
+    from adaptrack.core.build.library import finished
 
-    for name in builder.TARGETS:
-        content = builder.emit(text, name)
-        with pytest.raises(builder.BuildError, match=f"the kernels for {name} call .*cbrt"):
-            builder.finished(name, content)
+    for name in emission.TARGETS:
+        content = emission.emit(text, name)
+        with pytest.raises(emission.BuildError, match=f"the kernels for {name} call .*cbrt"):
+            finished(name, [content])
 
 
 # -- what is called ---------------------------------------------------------------------------------------------------

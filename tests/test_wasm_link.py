@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("llvmlite", reason="what builds the kernels")
 from adaptrack.core import library
-from adaptrack.core.build import library as builder
+from adaptrack.core.build.emission import emit
 from adaptrack.core.build.page import CALLED, MEMBERS
 from adaptrack.core.build.wasm_link import STACK, linked
 
@@ -91,14 +91,14 @@ def test_code_data_stack_and_table_of_a_linked_object_are_where_they_must_be(tmp
     expected = []
     for i in range(5):
         expected += [i**2, (4 - i) ** 2, (4 - i) ** 2, 1.5 * (i + 1)]
-    module = linked(builder.emit(TEXT, "wasm32"))
+    module = linked(emit(TEXT, "wasm32"))
     assert told(module, tmp_path, "own.wasm") == [*expected, 9, 0, True]
 
 
 def test_llvms_linker_makes_the_same(tmp_path):
     if shutil.which("wasm-ld") is None:
         pytest.skip("wasm-ld is not installed")
-    content = builder.emit(TEXT, "wasm32")
+    content = emit(TEXT, "wasm32")
     (tmp_path / "given.o").write_bytes(content)
     options = ["--no-entry", "--export-dynamic", "--export-table", "--growable-table", "-o", str(tmp_path / "ld.wasm")]
     subprocess.run(["wasm-ld", *options, str(tmp_path / "given.o")], check=True)
@@ -107,7 +107,7 @@ def test_llvms_linker_makes_the_same(tmp_path):
 
 
 def test_a_stack_that_is_too_small_is_a_trap_and_overwrites_nothing(tmp_path):
-    module = linked(builder.emit(TEXT, "wasm32"), stack=16)
+    module = linked(emit(TEXT, "wasm32"), stack=16)
     with pytest.raises(subprocess.CalledProcessError) as raised:
         told(module, tmp_path, "small.wasm")
     assert "memory access out of bounds" in raised.value.stderr
@@ -118,14 +118,14 @@ def test_an_object_that_needs_another_is_refused():
     text = TEXT + "declare double @cbrt(double)\ndefine double @adaptrack_root(double %x) {\n"
     text += "  %y = call double @cbrt(double %x)\n  ret double %y\n}\n"
     with pytest.raises(ValueError, match="needs cbrt"):
-        linked(builder.emit(text, "wasm32"))
+        linked(emit(text, "wasm32"))
     with pytest.raises(ValueError, match="not an object file"):
         linked(b"\x7fELF")
 
 
 def test_the_module_of_the_page_has_what_the_page_calls_and_nothing_else(tmp_path):
     try:
-        module = library.export_of("wasm32-page").read_bytes()
+        module = library.exported("wasm32-page").read_bytes()
     except library.UNUSABLE:
         pytest.skip(f"not compiled: {library.BUILD} --export wasm32-page")
     if shutil.which("node") is None:

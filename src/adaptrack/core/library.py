@@ -13,6 +13,7 @@ import json
 import logging
 import os
 import platform
+import subprocess
 import sys
 from functools import cache
 from importlib.util import find_spec
@@ -94,6 +95,21 @@ def export_of(target: str, folder: Path | None = None) -> Path:
     if listed["sources"] != source_hashes():
         raise ValueError(f"{folder}: is of other kernels than {kernels_hash()}")
     return whole(listed["exports"][target], folder)
+
+
+def exported(target: str) -> Path:
+    """Return the object file for a target that other programs take in, compiled now where it is not there.
+
+    Raises one of `UNUSABLE` where it cannot be compiled: without numba, in a read-only installation, for no target.
+    """
+    try:
+        return export_of(target)
+    except UNUSABLE:
+        if not (can_compile() and os.access(PACKAGE, os.W_OK)):
+            raise
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *sys.path])}
+    subprocess.run([sys.executable, "-m", *BUILD.split()[2:], "--export", target], env=environment, stdout=sys.stderr)
+    return export_of(target)
 
 
 def whole(entry: dict[str, str], folder: Path | None = None) -> Path:

@@ -144,7 +144,7 @@ def own_target() -> str:
 
 
 def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None = None) -> dict[str, Path]:
-    """The object file of the kernels for each target, this processor's without any.
+    """Return the object file of the kernels for each target, this processor's without any; a missing one is compiled.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None 
     found = {}
     for name in dict.fromkeys(targets or [own_target()]):
         try:
-            found[name] = library.export_of(name, folder)
+            found[name] = library.exported(name) if objects is None else library.export_of(name, folder)
         except library.UNUSABLE as error:
             known = list_targets(objects)
             near = did_you_mean(name, known) if known else "None is there."

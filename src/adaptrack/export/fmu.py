@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import math
 import os
 import zipfile
@@ -49,7 +48,7 @@ _BASE_UNITS = {
 }  # fmt: skip
 _TYPES = {"2.0": {REAL: "Real", WHOLE: "Integer", TRUTH: "Boolean"},
           "3.0": {REAL: "Float64", WHOLE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
-REMEDY = f"run: {library.BUILD} --export windows-x86-64-v3; python -m {fmu_build.__name__}"
+REMEDY = f"run: python -m {fmu_build.__name__}"
 _LARGEST_INTEGER = 2.0**31 - 1
 _DATE = (1980, 1, 1, 0, 0, 0)
 """Of the files in an archive, so that the same unit gives the same bytes."""
@@ -152,20 +151,20 @@ def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
 
 
 def binaries() -> dict[str, Any]:
-    """The systems for which this installation has binaries, with their entries.
+    """Return the systems for which this installation has binaries, with their entries; built now where there are none.
 
     Raises
     ------
     InvalidInput
-        When there are none of these kernels.
+        When there are none of these kernels and they cannot be built.
     """
-    try:
-        built: dict[str, Any] = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InvalidInput(f"export fmu: there are no binaries for FMUs in this installation; {REMEDY}") from None
-    if built["kernels"] != library.kernels_hash() or built["sources"] != fmu_build.sources_hash():
-        raise InvalidInput(f"export fmu: sources have been edited since the binaries for FMUs were built; {REMEDY}")
-    return dict(built["binaries"])
+    manifest = fmu_build.manifest()
+    if manifest is None and library.can_compile():
+        fmu_build.build()
+        manifest = fmu_build.manifest()
+    if manifest is None:
+        raise InvalidInput(f"export fmu: this installation has no binaries for FMUs of these kernels; {REMEDY}")
+    return dict(manifest["binaries"])
 
 
 # -- the description --------------------------------------------------------------------------------------------------

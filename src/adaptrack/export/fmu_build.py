@@ -1,7 +1,8 @@
-"""The binaries of FMUs, made when the package is built: kernels, the C layer of the interface, and nothing of Python.
+"""The binaries of FMUs, made before an FMU is exported: kernels, the C layer of the interface, and nothing of Python.
 
 ``python -m adaptrack.export.fmu_build`` writes one shared library for each system into `BUILT`. It holds all units and
-both versions of the interface; which unit an FMU is, its constants say. So `adaptrack export fmu` copies it.
+both versions of the interface; which unit an FMU is, its constants say. So `adaptrack export fmu` copies it, and in a
+checkout makes it first where it is missing.
 """
 
 from __future__ import annotations
@@ -133,14 +134,28 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
         return (work / f"made.{system.ending}").read_bytes()
 
 
+def manifest() -> dict[str, Any] | None:
+    """Return what was built of these kernels and C sources; None where there is nothing or something older."""
+    try:
+        content = dict(json.loads((BUILT / MANIFEST).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+    current = {"kernels": library.kernels_hash(), "sources": sources_hash()}
+    return content if {name: content.get(name) for name in current} == current else None
+
+
 def build() -> None:
-    """Make the binaries of those systems whose kernels and compiler are at hand; say which are left out."""
+    """Make the binaries of those systems whose kernels and compiler are at hand; say which are left out.
+
+    The kernels for this system are compiled where they are missing.
+    """
     BUILT.mkdir(exist_ok=True)
     made: dict[str, Any] = {}
+    native = "windows" if sys.platform == "win32" else "linux"
     for name, system in SYSTEMS.items():
         command = compiler(system)
         try:
-            kernels = library.export_of(system.target)
+            kernels = library.exported(system.target) if name == native else library.export_of(system.target)
         except library.UNUSABLE as error:
             _say(f"no kernels ({error}): {library.BUILD} --export {system.target}", name)
             continue

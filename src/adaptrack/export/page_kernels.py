@@ -10,15 +10,15 @@ PAGE = "wasm32-page"
 
 
 def page_kernels() -> bytes:
-    """The module.
+    """Return the module, compiled now where it is not there.
 
     Raises
     ------
     InvalidInput
-        When it has not been built.
+        When it is not there and cannot be compiled.
     """
     try:
-        return library.export_of(PAGE).read_bytes()
+        return library.exported(PAGE).read_bytes()
     except library.UNUSABLE as error:
         raise InvalidInput(
             f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} --export {PAGE}."

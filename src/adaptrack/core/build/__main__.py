@@ -16,8 +16,9 @@ from .. import library
 
 if __name__ == "__main__":
     library.source_hashes()  # of the sources before they are imported
+    from .emission import BuildError
     from .exports import EXPORTS, archive
-    from .library import BuildError, build
+    from .library import build
 
     given, _, folder = " ".join(sys.argv[1:]).partition("--archive")
     given, _, exports = given.partition("--export")

@@ -22,7 +22,7 @@ import llvmlite.binding as llvm
 
 from .. import library
 from . import page
-from .library import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted, with_soft
+from .emission import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted, with_soft
 from .objects import undefined
 from .rules import plain
 from .units import PLANTS, UNITS
@@ -88,10 +88,10 @@ EXPORTS = {
 }
 
 
-def shipped(own: list[str], portable: bool) -> list[str]:
-    """What is made with the libraries of these names: all that a wheel has, or what this processor runs."""
-    fits = [each for each in EXPORTS if each in own or f"{each.removesuffix('-v3')}-v4" in own]
-    return [*fits, "wasm32", "wasm32-page"] if portable else fits[-1:]
+def shipped(processors: list[str]) -> list[str]:
+    """Return what a wheel with the libraries of these processors has for other programs."""
+    objects = [name for name in EXPORTS if name in processors or f"{name.removesuffix('-v3')}-v4" in processors]
+    return [*objects, "wasm32", "wasm32-page"]
 
 
 def archive(folder: Path) -> Path:
@@ -116,7 +116,7 @@ def archive(folder: Path) -> Path:
 
 
 def emit_export(text: str, name: str) -> bytes:
-    """The object file for a target, of a module of all kernels.
+    """Return the object file for a target, of a module of all kernels.
 
     Raises BuildError where it calls what it may not.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -17,8 +18,10 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.extending import intrinsic
 
+from ..kernel import EXPORTED
 from ..member import Member
 from . import operations
+from .emission import BODY
 from .numba_types import WORD, c_types, from_c, numba_type, to_c
 
 _OPTIONS: dict[str, Any] = {
@@ -32,6 +35,10 @@ _OPTIONS: dict[str, Any] = {
 
 _alive: list[Any] = []
 """Numba's types hold their functions weakly, and machine code goes with the library that holds it."""
+_kernels: dict[Any, Any] = {}
+"""The exported kernel of a library of numba's that holds the body of one."""
+_lowering_kernels = False
+"""Whether numba is lowering kernels for `module_of`, which links them itself."""
 _environments: dict[str, Any] = {}
 """What functions that raise exceptions of Python's look up, by the name of the variable that is to hold it."""
 
@@ -45,47 +52,77 @@ class _Part(codegen.JITCodeLibrary):  # type: ignore[misc]
         self.__class__, self._finalized = _Part, True
 
     def _get_module_for_linking(self) -> Any:
-        whole = _whole([self])
-        for function in whole.functions:
+        module = _with_callees(_linked([self]))
+        for function in module.functions:
             if not function.is_declaration:
                 function.linkage = "linkonce_odr"
-        return whole
+        return module
 
 
-def _whole(parts: Iterable[Any]) -> Any:
-    """One module of parts and of all that they call."""
-    waiting, linked_in = list(parts), set()
-    whole = llvm.parse_assembly("")
+def _linked(parts: Iterable[Any]) -> Any:
+    """Return one module of numba's libraries and of the inlined kernels that they call."""
+    module = llvm.parse_assembly("")
+    waiting, done = list(parts), set()
     while waiting:
         part = waiting.pop()
-        if part not in linked_in:
-            linked_in.add(part)
+        if part not in done:
+            done.add(part)
             waiting += part._linking_libraries
-            whole.link_in(llvm.parse_assembly(str(part._final_module)))
-    return whole
+            module.link_in(_parsed(part._final_module, _kernels.get(part)))
+    return module
+
+
+def _parsed(module: Any, kernel: Any) -> Any:
+    """Parse a module; the body of an exported kernel, if it defines or calls one, gets its symbol."""
+    parsed = llvm.parse_assembly(str(module))
+    if kernel is not None:
+        parsed.get_function(compiled(kernel).fndesc.mangled_name).name = BODY + kernel.name
+    return parsed
+
+
+def _with_callees(module: Any) -> Any:
+    """Add to a module the bodies of the exported kernels that it calls, and of those that these call."""
+    while called := [EXPORTED[name] for name in _declared_kernels(module) if name in EXPORTED]:
+        module.link_in(_linked(compiled(kernel).library for kernel in called))
+    return module
+
+
+def _declared_kernels(module: Any) -> list[str]:
+    declared = [function.name for function in module.functions if function.is_declaration]
+    return [name.removeprefix(BODY) for name in declared if name.startswith(BODY)]
 
 
 @contextmanager
 def _front_end() -> Iterator[None]:
-    """Numba types and lowers functions, and nothing more: `linked` puts them together."""
+    """Let numba type and lower functions, and nothing more: `module_of` links them."""
     with (
         global_compiler_lock,
         mock.patch.object(codegen.CPUCodeLibrary, "finalize", _Part.finalize),
         # nothing is optimised for this machine: the sizes of numba's structures are other ones on another
         mock.patch.object(codegen.CPUCodeLibrary, "_optimize_functions"),
+        mock.patch(f"{__name__}._lowering_kernels", True),
         mock.patch.object(codegen.JITCPUCodegen, "set_env", lambda self, name, env: _environments.update({name: env})),
     ):
         yield
 
 
-def linked(kernels: Iterable[Any]) -> Any:
-    """One module of exported kernels and all that they call, not yet optimised: C functions ``adaptrack_NAME``."""
+def module_of(kernels: Iterable[Any]) -> Any:
+    """Return one LLVM module of exported kernels with their C functions ``adaptrack_NAME``, not yet optimised.
+
+    It holds the inlined kernels that they call. Other exported kernels are declared as ``kernel.NAME``: the module that
+    has one defines it under this name. All other functions are internal.
+    """
+    kernels = list(kernels)
+    c_functions = llvm.parse_assembly("")  # joined among themselves first: to link takes what the target holds
     with _front_end():
-        texts = [str(c_module(each, f"adaptrack_{each.name}")) for each in kernels]
-        whole = _whole(compiled(each).library for each in kernels)
-    for each in texts:
-        whole.link_in(llvm.parse_assembly(each))
-    return whole
+        for kernel in kernels:
+            c_functions.link_in(_parsed(c_module(kernel, f"adaptrack_{kernel.name}"), kernel))
+        module = _linked(compiled(kernel).library for kernel in kernels)
+    module.link_in(c_functions)
+    for function in module.functions:
+        if not (function.is_declaration or function.name.startswith((BODY, "adaptrack_"))):
+            function.linkage = "internal"
+    return module
 
 
 class _Inlined(CPUDispatcher):  # type: ignore[misc]
@@ -97,7 +134,7 @@ class _Inlined(CPUDispatcher):  # type: ignore[misc]
 def type_of(known: Any) -> Any:
     """Numba's type of what kernels may call."""
     if known.kind == "exported":
-        return types.Dispatcher(_dispatcher(known))
+        return _type_of_exported(known)
     if known.kind == "primitive":
         return _function_type(getattr(operations, known.function.__name__))
     if known.kind == "caller":
@@ -134,6 +171,8 @@ def _dispatcher(kernel: Any) -> Any:
             made = numba.njit(**_OPTIONS)(kernel.function)
             made.compile(wanted)
     made.disable_compile()
+    (result,) = made.overloads.values()
+    _kernels[result.library] = kernel
     return made
 
 
@@ -220,21 +259,50 @@ def _answer(context, builder, wanted, own, status, found, values):
 
 
 def compiled_now(kernel: Any) -> int:
-    """The address of the C function of an exported kernel, compiled in this process."""
+    """Compile an exported kernel, and those that it calls, in this process; return the address of its C function."""
     name = f"adaptrack_{kernel.name}"
-    whole = linked([kernel])
-    for each in whole.functions:
-        if not each.is_declaration and each.name != name:
-            each.linkage = "internal"
+    module = _with_callees(module_of([kernel]))
+    for function in module.functions:
+        if not function.is_declaration and function.name != name:
+            function.linkage = "internal"
     with global_compiler_lock:
         library = _codegen().create_library(f"{name}_{len(_alive)}")
-        library.add_llvm_module(whole)
+        library.add_llvm_module(module)
         library.finalize()
         held = {each.name for each in library._final_module.global_variables}
         for environment in held & _environments.keys():
             _codegen().set_env(environment, _environments[environment])
         _alive.append(library)
         return int(library.get_pointer_to_function(name))
+
+
+def _type_of_exported(kernel: Any) -> Any:
+    """Return numba's type of a call of an exported kernel by its symbol: it need not be compiled for that."""
+    signature = numba_signature(kernel.signature)
+
+    def typed(typingctx, *arguments):
+        def codegen(context, builder, typed_as, values):
+            convention = context.call_conv
+            kind = convention.get_function_type(signature.return_type, signature.args)
+            function = cgutils.get_or_insert_function(builder.module, kind, BODY + kernel.name)
+            status, result = convention.call_function(builder, function, signature.return_type, signature.args, values)
+            if not _lowering_kernels:  # a user's function, which numba links by itself
+                context.active_code_library.add_linking_library(compiled(kernel).library)
+            with cgutils.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return result
+
+        return signature, codegen
+
+    return _function_type(_intrinsic(typed, list(inspect.signature(kernel.function).parameters)))
+
+
+def _intrinsic(typed: Any, names: list[str]) -> Any:
+    """Make an intrinsic of a function ``typed(typing_context, *arguments)``: numba's take no ``*arguments``."""
+    scope: dict[str, Any] = {"typed": typed}
+    arguments = ", ".join(["typingctx", *names])
+    exec(f"def call({arguments}):\n    return typed({arguments})", scope)
+    return intrinsic(scope["call"])
 
 
 def _of_caller(signature: Any) -> Any:
@@ -254,7 +322,4 @@ def _of_caller(signature: Any) -> Any:
 
         return wanted.return_type(types.int64, *wanted.args), codegen
 
-    names = ", ".join(["typingctx", "address"] + [f"a{i}" for i in range(len(wanted.args))])
-    scope: dict[str, Any] = {"typed": typed}
-    exec(f"def call({names}):\n    return typed({names})", scope)  # an intrinsic takes no *arguments
-    return _function_type(intrinsic(scope["call"]))
+    return _function_type(_intrinsic(typed, ["address", *(f"a{i}" for i in range(len(wanted.args)))]))
