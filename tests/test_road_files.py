@@ -5,9 +5,11 @@ import re
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.cli.app import app
 from adaptrack.road import (
     Along,
     Arc,
@@ -339,7 +341,7 @@ def test_what_is_no_road_in_opendrive_is_refused(tmp_path, text, options, words)
 
 def test_shapes_and_lanes_that_cannot_be_read_are_named(tmp_path):
     path, _ = xodr(tmp_path / "a.xodr", LANES)
-    with pytest.raises(ConfigError, match="there is no lane -3; there are -2, -1, 0, 1"):
+    with pytest.raises(ConfigError, match="there is no lane -3; there are -2, -1"):
         load_road(path, lane=-3)
     with pytest.raises(ConfigError, match="run with the road"):
         load_road(path, lane=1)
@@ -391,6 +393,212 @@ def test_a_road_has_at_most_two_thousand_kilometres_and_lies_on_the_earth(tmp_pa
     path.write_text(path.read_text().replace('x="0.0"', 'x="1e300"', 1))
     with pytest.raises(ConfigError, match=r"a coordinate of 1e\+300 m: at most 1e\+08 m"):
         load_road(path)
+
+
+# -- what OpenDRIVE says of lanes and the surface ----------------------------------------------------------------------
+LINES = '<geometry s="0" x="0" y="0" hdg="0" length="200"><line/></geometry>'
+
+
+def lane_text(number, content="", width=3.5, **attributes):
+    words = " ".join(f'{key}="{value}"' for key, value in ({"type": "driving"} | attributes).items())
+    return f'<lane id="{number}" {words}>{content}<width sOffset="0" a="{width}" b="0" c="0" d="0"/></lane>'
+
+
+def section(s, *lanes, **attributes):
+    """A lane section; lanes to the left first."""
+    words = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+    left, right = ("".join(text for text in lanes if ('id="-' in text) is side) for side in (False, True))
+    groups = f"{left and f'<left>{left}</left>'}<center><lane id='0'/></center>{right and f'<right>{right}</right>'}"
+    return f'<laneSection s="{s}" {words}>{groups}</laneSection>'
+
+
+def straight_road(path, *sections, view=LINES, before="", head="", **attributes):
+    """A file of one road, by default a straight line of 200 m with a lane on each side."""
+    words = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+    lanes = "".join(sections) or section(0, lane_text(1), lane_text(-1))
+    path.write_text(
+        f'<OpenDRIVE>{head}<road id="1" length="200" {words}>{before}<planView>{view}</planView><lanes>{lanes}</lanes>'
+        "</road></OpenDRIVE>"
+    )
+    return path
+
+
+def profile(text):
+    return f"<lateralProfile>{text}</lateralProfile>"
+
+
+def test_a_lane_has_its_own_speed_limit_and_without_one_that_of_the_road(tmp_path):
+    own = '<speed sOffset="0" max="30" unit="km/h"/><speed sOffset="50" max="20" unit="mph"/>'
+    path = straight_road(
+        tmp_path / "a.xodr",
+        section(0, lane_text(-1, own), lane_text(-2)),
+        section(100, lane_text(-1), lane_text(-2, '<speed sOffset="50" max="40"/>')),
+        before='<type s="0" type="rural"><speed max="90" unit="km/h"/></type>',
+    )
+    places = [10.0, 60.0, 110.0, 160.0]
+    for lane, limits in ((-1, [30 / 3.6, 8.9408, 25.0, 25.0]), (-2, [25.0, 25.0, 25.0, 40.0])):
+        assert load_road(path, lane=lane).along("speed_limit", places) == pytest.approx(limits)
+    assert load_road(path).along("speed_limit", places) == pytest.approx([30 / 3.6, 8.9408, 25.0, 25.0])
+
+
+@pytest.mark.parametrize(
+    ("rule", "direction", "lanes"),
+    [("RHT", "standard", {-1}), ("LHT", "standard", {1}), ("RHT", "reversed", {1}), ("LHT", "reversed", {-1}),
+     ("LHT", "both", {-1, 1})],
+)  # fmt: skip
+def test_only_lanes_that_are_driven_along_the_road_are_read(tmp_path, rule, direction, lanes):
+    both = section(0, *(lane_text(number, direction=direction) for number in (1, -1)))
+    path = straight_road(tmp_path / "a.xodr", both, rule=rule)
+    for number in (-1, 1):
+        if number in lanes:
+            road = load_road(path, lane=number)
+            assert float(road.at(100.0).y) == pytest.approx(1.75 * number)
+            assert float(road.at(100.0).heading) == 0.0
+        else:
+            with pytest.raises(ConfigError, match=f"rule='{rule}', direction='{direction}'.*: {min(lanes)}[.]"):
+                load_road(path, lane=number)
+
+
+@pytest.mark.parametrize(
+    ("before", "attributes", "bank"),
+    [
+        (profile('<crossfall s="0" side="both" a="0.05" b="0" c="0" d="0"/>'), {}, {1: 0.05, None: 0.0, -1: -0.05}),
+        (profile('<crossfall s="0" side="left" a="0.05" b="0" c="0" d="0"/>'), {}, {1: 0.05, -1: 0.0}),
+        (profile('<crossfall s="0" a="0" b="5e-4" c="0" d="0"/>'), {"level": "true"}, {1: 0.0, -1: 0.0}),
+        (profile('<crossfall s="0" a="0" b="5e-4" c="0" d="0"/>'), {}, {1: 0.05, -1: -0.05}),
+        (profile('<shape s="0" t="-9" a="0" b="0.08" c="0" d="0"/>'), {}, {1: -np.arctan(0.08), -1: -np.arctan(0.08)}),
+        (
+            profile(
+                '<superelevation s="0" a="0.02" b="0" c="0" d="0"/><shape s="0" t="-5" a="0" b="0" c="0" d="0"/>'
+                '<shape s="250" t="-5" a="0.5" b="0.1" c="0" d="0"/>'
+            ),
+            {},
+            {-1: -0.02 - np.arctan(0.1 * 100 / 250)},
+        ),
+        (
+            profile(
+                '<shape s="0" t="0" a="0" b="0" c="0.01" d="0"/><shape s="0" t="-9" a="0.27" b="-0.03" c="0" d="0"/>'
+            ),
+            {},
+            {1: -np.arctan(0.035), -1: np.arctan(0.03)},
+        ),
+    ],
+)  # fmt: skip
+def test_the_bank_of_a_lane_follows_from_superelevation_crossfall_and_shape(tmp_path, before, attributes, bank):
+    both = section(0, *(lane_text(number, direction="both", **attributes) for number in (1, -1)))
+    path = straight_road(tmp_path / "a.xodr", both, before=before)
+    for number, angle in bank.items():
+        road = load_road(path) if number is None else load_road(path, lane=number)
+        assert float(road.along("bank", 100.0)) == pytest.approx(angle, abs=1e-9)
+
+
+def test_all_elements_and_attributes_that_are_not_read_are_named(tmp_path):
+    content = '<link><userData/></link><roadMark sOffset="0"/><material sOffset="0" friction="0.3"/>'
+    path = straight_road(
+        tmp_path / "a.xodr",
+        section(0, lane_text(-1, content, advisory="inner")),
+        before="<elevationProfile><elevation/></elevationProfile><link/>",
+        head='<header revMajor="1"><geoReference/></header><road id="2"><signals/></road><junction/>',
+    )
+    unread = "header/geoReference, junction, elevationProfile, road/link, lane@advisory, roadMark, material, userData"
+    (note,) = load_road(path, road=1).notes
+    assert note.startswith("not read: ")
+    for name in unread.split(", "):
+        assert name in note
+    assert "signals" not in note  # of the other road
+    assert load_road(straight_road(tmp_path / "b.xodr"), lane=-1).notes == ()
+
+
+def test_the_check_of_a_road_prints_its_notes(tmp_path):
+    path = straight_road(tmp_path / "a.xodr", before="<elevationProfile/>")
+    output = CliRunner().invoke(app, ["road", "check", str(path), "--lane=-1"]).output
+    assert "Note: not read: road/elevationProfile" in output
+
+
+def gap_view(*gaps):
+    """Straight elements of 50 m, each with a gap along the line and to the left before it (m)."""
+    x, y, text = 0.0, 0.0, ""
+    for k, (ahead, aside) in enumerate(gaps):
+        x, y = x + ahead, y + aside
+        text += f'<geometry s="{50 * k}" x="{x!r}" y="{y!r}" hdg="0" length="50"><line/></geometry>'
+        x += 50.0
+    return text
+
+
+@pytest.mark.parametrize("lane", [None, -1])
+def test_gaps_of_up_to_ten_centimetres_are_closed_and_noted(tmp_path, lane):
+    path = straight_road(tmp_path / "a.xodr", view=gap_view((0, 0), (0.02, 0.03), (0, 0), (0.09, 0.0)))
+    road = load_road(path, **{} if lane is None else {"lane": lane})
+    assert road.length == pytest.approx(200.0)
+    assert float(road.at(200.0).x) == pytest.approx(200.0)
+    assert "closed: 2, the largest 0.0900 m at s = 150.00 m; the line moves by up to 0.114 m" in road.notes[0]
+    road.to_toml(tmp_path / "road.toml")
+    np.testing.assert_allclose(load_road(tmp_path / "road.toml").at(170.0), road.at(170.0), atol=1e-9)
+    straight_road(path, view=gap_view((0, 0), (0.0, 0.11)))
+    with pytest.raises(ConfigError, match=r"0.11 m apart at s = 50.00 m"):
+        load_road(path)
+
+
+def test_a_lap_with_gaps_stays_a_lap(tmp_path):
+    view, radius = "", 50.0
+    for k in range(8):
+        angle = k * np.pi / 4.0
+        x, y = radius * np.sin(angle) + 0.02 * (k > 3), radius * (1.0 - np.cos(angle))
+        length = radius * np.pi / 4.0
+        view += f'<geometry s="{k * length}" x="{x}" y="{y}" hdg="{angle}" length="{length}">'
+        view += '<arc curvature="0.02"/></geometry>'
+    road = load_road(straight_road(tmp_path / "a.xodr", view=view))
+    assert road.closed
+    assert "closed: 2, the largest 0.0200 m" in road.notes[0]
+    road.to_toml(tmp_path / "road.toml")
+    assert load_road(tmp_path / "road.toml").closed
+
+
+def test_elements_of_length_zero_and_elements_beyond_the_end_are_left_out_and_noted(tmp_path):
+    empty = '<geometry s="100" x="100" y="0" hdg="0" length="0"><line/></geometry>'
+    limits = ((0, 90), (200, 50), (225, 30))
+    types = "".join(f'<type s="{s}" type="town"><speed max="{limit}" unit="km/h"/></type>' for s, limit in limits)
+    lanes = section(0, lane_text(-1)), section(210, lane_text(-1, width=9.0))
+    road = load_road(straight_road(tmp_path / "a.xodr", *lanes, view=LINES + empty, before=types), lane=-1)
+    assert road.length == pytest.approx(200.0)
+    assert road.along("speed_limit", [0.0, 200.0]).tolist() == [25.0, 25.0]
+    assert float(road.along("width_left", 200.0)) == 1.75
+    assert "length 0 are left out, at s = 100.00 m" in road.notes[0]
+    for place in ("type at s = 200.00 m", "type at s = 225.00 m", "laneSection at s = 210.00 m"):
+        assert place in road.notes[1]
+    with pytest.raises(ConfigError, match="longer than 0"):
+        load_road(straight_road(tmp_path / "b.xodr", view=empty))
+
+
+def test_a_section_of_a_single_side_leaves_the_other_side_as_it_is(tmp_path):
+    path = straight_road(
+        tmp_path / "a.xodr",
+        section(0, lane_text(1), singleSide="true"),
+        section(0, lane_text(-1), singleSide="true"),
+        section(80, lane_text(1), lane_text(2), singleSide="true"),
+    )
+    road = load_road(path, lane=-1)
+    assert float(road.at(150.0).y) == -1.75
+    assert load_road(path).along("width_left", [50.0, 150.0]).tolist() == [3.5, 7.0]
+    assert load_road(path).along("width_right", [50.0, 150.0]).tolist() == [3.5, 3.5]
+
+
+@pytest.mark.parametrize("linked", ["successor", "predecessor", "both"])
+def test_a_lane_is_followed_where_its_link_renumbers_it(tmp_path, linked):
+    ahead = '<link><successor id="-2"/></link>' if linked != "predecessor" else ""
+    back = '<link><predecessor id="-1"/></link>' if linked != "successor" else ""
+    turn = '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="100" a="3" b="0" c="0" d="0"/>'
+    sections = section(0, lane_text(-1, ahead)), section(100, lane_text(-1, width=3.0), lane_text(-2, back))
+    road = load_road(straight_road(tmp_path / "a.xodr", turn, *sections), lane=-1)
+    assert road.at([50.0, 150.0]).y == pytest.approx([-1.75, -1.75])
+    assert road.notes == ("lane -1 is lane -2 from s = 100.00 m on",)
+
+
+def test_words_that_the_standard_does_not_have_are_refused_and_lanes_of_other_types_noted(tmp_path):
+    with pytest.raises(ConfigError, match="road rule='lht'>: must be one of RHT, LHT"):
+        load_road(straight_road(tmp_path / "a.xodr", rule="lht"))
+    path = straight_road(tmp_path / "a.xodr", section(0, lane_text(-1, type="sidewalk")))
+    assert load_road(path, lane=-1).notes == ("lane -1 is of type sidewalk",)
 
 
 # -- TOML -------------------------------------------------------------------------------------------------------------

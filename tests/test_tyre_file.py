@@ -205,11 +205,28 @@ def test_an_impossible_coefficient_is_named(tmp_path, key, value, message):
 
 def test_a_key_with_two_values_and_a_file_that_is_not_there_are_named(tmp_path):
     path = tir(tmp_path / "a.tir", BOOK)
-    path.write_text(path.read_text() + "\nPCY1 = 1.4\n")
+    path.write_text(path.read_text() + "\nPDY1 = '0.8785'\nPDY1 = '0.8785'\nPCY1 = 1.4\n")
     with pytest.raises(ConfigError, match=r"line \d+: PCY1 stands in line \d+ with another value"):
         read_tyre_file(path)
     with pytest.raises(StorageError):
         read_tyre_file(tmp_path / "none.tir")
+
+
+@pytest.mark.parametrize("blank", ["", "''", "   $ not measured"])
+def test_an_empty_value_counts_as_not_there(tmp_path, blank):
+    plain = read_tyre_file(tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'"))
+    empty = {"STRUCTURAL": "LATERAL_STIFFNESS", "VERTICAL_FORCE_RANGE": "FZMIN", "SCALING_COEFFICIENTS": "LMUY"}
+    sections = {section: f"{key} = {blank}" for section, key in empty.items()}
+    assert read_tyre_file(tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'", **sections)) == plain
+    path = tir(tmp_path / "a.tir", PAC)
+    path.write_text(path.read_text().replace("PDY1 = 1.0489", f"PDY1 = {blank}"))
+    with pytest.raises(ConfigError, match=r"\[LATERAL_COEFFICIENTS\] has no PDY1"):
+        read_tyre_file(path)
+
+
+def test_a_lateral_stiffness_that_the_model_does_not_use_may_be_anything(tmp_path):
+    path = tir(tmp_path / "a.tir", PAC, model="PROPERTY_FILE_FORMAT = 'PAC2002'", STRUCTURAL="LATERAL_STIFFNESS = n/a")
+    assert read_tyre_file(path).lateral_stiffness is None
 
 
 def test_the_law_in_numpy_is_the_law_of_the_plant():

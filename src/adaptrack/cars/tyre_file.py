@@ -195,7 +195,7 @@ def read_tyre_file(path: str | os.PathLike[str]) -> TyreFile:
 
 
 def _sections(where: str) -> dict[str, dict[str, _Value]]:
-    """Values by section and key, both in capitals; comments begin with $ or !, tables without keys are passed over."""
+    """Values by section and key, both in capitals, without empty values, comments ($ or !) and tables without keys."""
     text = read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
     found: dict[str, dict[str, _Value]] = {}
     section = ""
@@ -205,14 +205,15 @@ def _sections(where: str) -> dict[str, dict[str, _Value]]:
             section = heading[1].strip().upper()
             found.setdefault(section, {})
         elif "=" in bare:
-            key, _, value = (part.strip() for part in bare.partition("="))
-            key, given = key.upper(), found.setdefault(section, {})
-            if key in given and given[key].text != value:
+            key, _, value = (part.strip(" \t'\"") for part in bare.partition("="))
+            key, values = key.upper(), found.setdefault(section, {})
+            if key in values and value not in ("", values[key].text):
                 raise ConfigError(
-                    f"{printable(where)}, line {number}: {key} stands in line {given[key].line} with another value: "
+                    f"{printable(where)}, line {number}: {key} stands in line {values[key].line} with another value: "
                     "keep one."
                 )
-            given[key] = _Value(value.strip("'\""), number)
+            if value:
+                values[key] = _Value(value, number)
     return found
 
 
@@ -255,7 +256,9 @@ class _Reader:
         radius = None
         if self.line("DIMENSION", "UNLOADED_RADIUS") is not None:
             radius = self.positive("DIMENSION", "UNLOADED_RADIUS", length, (0.01, 3.0), "m")
-        stiffness = self.number("STRUCTURAL", "LATERAL_STIFFNESS") or self.number("VERTICAL", "LATERAL_STIFFNESS")
+        stiffness = None
+        if model.startswith("MF 6"):
+            stiffness = self.number("STRUCTURAL", "LATERAL_STIFFNESS") or self.number("VERTICAL", "LATERAL_STIFFNESS")
         low = (self.number("VERTICAL_FORCE_RANGE", "FZMIN", 0.0) or 0.0) * force
         high = (self.number("VERTICAL_FORCE_RANGE", "FZMAX", math.inf) or math.inf) * force
         steepest = abs(self.number("SLIP_ANGLE_RANGE", "ALPMAX", 1.5 / angle) or 1.5 / angle) * angle

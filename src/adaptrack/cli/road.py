@@ -54,7 +54,7 @@ class RoadOptions:
     ] = None
     lane: Annotated[
         int | None,
-        Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane to the right (-1, ...)."),
+        Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane, driven along the road (-1, ...)."),
     ] = None
     road_seed: Annotated[
         list[int] | None,

@@ -107,6 +107,8 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
         ) from None
 
 
+NO_LIMIT = 1000.0
+"""m/s, the speed limit where none is posted."""
 ALONG = ("width_left", "width_right", "speed_limit", "friction", "bank")
 """What lies along a road."""
 

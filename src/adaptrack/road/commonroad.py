@@ -19,12 +19,10 @@ import numpy as np
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.core.path import FEWEST
+from adaptrack.road.along import NO_LIMIT
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
-
-NO_LIMIT = 1000.0
-"""m/s, where a lanelet of a chain has no speed limit and others have one."""
 
 
 def read_commonroad(

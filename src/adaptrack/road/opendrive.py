@@ -1,37 +1,65 @@
 """Roads from OpenDRIVE files: the plan view of one road, its lane offset, the middle of one of its lanes.
 
-Read are <planView> (line, arc, spiral, poly3, paramPoly3), <laneOffset>, the widths of lanes, <superelevation> and the
-speed limits of <type>, of ASAM OpenDRIVE 1.4 to 1.8 (https://publications.pages.asam.net, OpenDRIVE, chapters 9 to 11).
-The shape of the line is exact. Height, junctions and links between roads are not read.
+`READ` lists the elements and attributes that are read, of ASAM OpenDRIVE 1.4 to 1.8 (https://publications.pages.asam.net,
+OpenDRIVE, chapters 9 to 11); the notes of a road name all others. The shape of the line is exact.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.core.road import X, Y
 from adaptrack.road.along import Along, alongs
+from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, number_of, speed_limit
 from adaptrack.road.road import GAP, KINK, Road
-from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.segments import SHORTEST, Arc, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.table import Pieces, beside, joined, placed, tabulate
 
-Element = ElementTree.Element
-
-SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
-SAMPLES = 2.0
-"""m, between the samples of widths and bank, between which straight lines are drawn."""
-DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional")
-"""Types of lanes that count to the width of a road."""
-STATED = 1e-3
-"""m, from which on a difference between the stated and the true length of an element is reported."""
+READ = {
+    "OpenDRIVE/header": "revMajor revMinor name version date north south east west vendor",
+    "OpenDRIVE/road": "name id length junction rule",
+    "road/type": "s type country",
+    "type/speed": "max unit",
+    "road/planView": "",
+    "planView/geometry": "s x y hdg length",
+    "geometry/line": "",
+    "geometry/arc": "curvature",
+    "geometry/spiral": "curvStart curvEnd",
+    "geometry/poly3": "a b c d",
+    "geometry/paramPoly3": "pRange aU bU cU dU aV bV cV dV",
+    "road/lateralProfile": "",
+    "lateralProfile/superelevation": "s a b c d",
+    "lateralProfile/crossfall": "s side a b c d",
+    "lateralProfile/shape": "s t a b c d",
+    "road/lanes": "",
+    "lanes/laneOffset": "s a b c d",
+    "lanes/laneSection": "s singleSide",
+    "laneSection/left": "",
+    "laneSection/center": "",
+    "laneSection/right": "",
+    "left/lane": "id type level direction",
+    "center/lane": "id type level",
+    "right/lane": "id type level direction",
+    "lane/link": "",
+    "link/predecessor": "id",
+    "link/successor": "id",
+    "lane/width": "sOffset a b c d",
+    "lane/speed": "sOffset max unit",
+}
+"""Parent and element, and the attributes of the element: those that are read, and labels that change nothing."""
+TOLERANCE = 0.1
+"""m, the largest gap between elements that is closed."""
 
 
 def read_opendrive(
@@ -44,15 +72,18 @@ def read_opendrive(
     road : str or int, optional
         Its id; may be left out where the file has one road only.
     lane : int, optional
-        Id of a lane to the right (negative, driven in the direction of the road), present all along it. Without it
-        the line is the reference line moved by <laneOffset>, and the widths are those of the driving lanes beside it.
+        Id, in the first lane section, of a lane that is driven in the direction of the road and present all along it;
+        its <link> leads to its ids in later sections. Without a lane the line is the reference line moved by
+        <laneOffset>, with the widths of the driving lanes on both sides and their lowest speed limit.
     **along
         As in `Road.from_segments`, in place of what the file says.
 
     Notes
     -----
     A <poly3> is read as the cubic v(u), u from 0 to where the arc is as long as the file says; a <paramPoly3> over its
-    range of p, whatever length the file states, and stations s of the file are stretched to it.
+    range of p, whatever length the file states, and stations s of the file are stretched to it. Gaps of 0.01 to 0.1 m
+    between elements are closed by moving the elements behind them. `notes` of the road name such deviations, and the
+    elements of the file that are not in `READ`.
 
     Raises
     ------
@@ -62,14 +93,19 @@ def read_opendrive(
         When it is not OpenDRIVE, has no such road or lane, or a shape that cannot be read; with the remedy.
     """
     where = os.fspath(path)
-    element = _road(where, _root(where, read_bytes(path)), road)
+    root = _root(where, read_bytes(path))
+    element = _road(where, root, road)
     where = f"{where}, road {element.get('id')!r}"
     try:
-        return _read(where, element, lane, along)
+        line = _read(where, element, lane, along)
     except ConfigError:
         raise
     except InvalidInput as error:
         raise ConfigError(f"{where}: {error}") from None
+    unread = dict.fromkeys(
+        name for child in root if child.tag != "road" or child is element for name in _unread(root, child)
+    )
+    return line.replace(notes=(*line.notes, f"not read: {printable(', '.join(unread))}")) if unread else line
 
 
 def _root(where: str, content: bytes) -> Element:
@@ -107,37 +143,89 @@ def _stated_length(element: Element) -> float:
     return length if math.isfinite(length) else 0.0
 
 
-def _read(where: str, element: Element, lane: int | None, along: dict[str, Any]) -> Road:
-    view = element.find("planView")
-    shapes = [] if view is None else sorted(view.findall("geometry"), key=lambda shape: _number(where, shape, "s"))
-    if not shapes:
-        raise ConfigError(f"{where}: it has no <planView> with a <geometry>.")
+def _unread(parent: Element, element: Element) -> Iterator[str]:
+    """The elements (parent/element) and attributes (element@attribute) that are not in `READ`."""
+    name = f"{parent.tag}/{element.tag}"
+    if name not in READ:
+        yield name
+        return
+    labels = READ[name].split()
+    yield from (f"{element.tag}@{attribute}" for attribute in element.attrib if attribute not in labels)
+    for child in element:
+        yield from _unread(element, child)
+
+
+def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) -> Road:
+    shapes, notes = _shapes(where, road)
     segments = [_segment(where, shape) for shape in shapes]
     tables = tabulate(segments)
-    poses = [Pose(*(_number(where, shape, key) for key in ("x", "y", "hdg"))) for shape in shapes]
+    poses = [Pose(*(number_of(where, shape, key) for key in ("x", "y", "hdg"))) for shape in shapes]
     origin = poses[0]
     near = [Pose(pose.x - origin.x, pose.y - origin.y, pose.heading) for pose in poses]  # keeps digits of far places
     reference = joined([placed(table, pose) for table, pose in zip(tables, near, strict=True)])
-    stations = _Stations(where, shapes, tables)
-    lanes = _Lanes(where, element, stations)
-    base = lanes.offset() if lane is None else lanes.middle(lane)
+    stations = Stations(where, shapes, tables)
+    lanes = Lanes(where, road, stations, lane)
+    base = lanes.line
     table = reference if base is None else beside(reference, *base)
-    values = {**lanes.widths(lane), **_speed_limit(where, element, stations), **_bank(where, element, stations)}
-    moved = {name: _moved(value, reference, table) for name, value in values.items()}
-    name = element.get("name") or Path(where.partition(", road ")[0]).stem
-    found = {"closed": _meets_itself(table), "notes": tuple(stations.notes), **alongs(moved | along)}
-    if base is None:
-        laid = zip(segments, poses, strict=True)
-        found["elements"] = tuple(segment.replace(start=tuple(pose)) for segment, pose in laid)
-    return Road(name=printable(name), table=placed(table, Pose(origin.x, origin.y, 0.0)), **found)
+    values = {**lanes.widths(), **speed_limit(where, road, stations, lanes), **bank_of(where, road, stations, lanes)}
+    values = {name: _moved(value, reference, table) for name, value in values.items()}
+    table, shifts = _close_gaps(table, notes)
+    closed = _meets_itself(table)
+    options = {"closed": closed, **alongs(values | along)}
+    if base is None and not (closed and shifts.any()):
+        heads = np.cumsum([0, *(len(part.pieces) for part in tables[:-1])])
+        options["elements"] = tuple(
+            segment.replace(start=(pose.x + shift.real, pose.y + shift.imag, pose.heading))
+            for segment, pose, shift in zip(segments, poses, shifts[heads].tolist(), strict=True)
+        )
+    name = printable(road.get("name") or Path(where.partition(", road ")[0]).stem)
+    notes = [*notes, *stations.notes, *lanes.notes]
+    return Road(name=name, table=placed(table, Pose(origin.x, origin.y, 0.0)), notes=tuple(notes), **options)
 
 
-def _meets_itself(table: Pieces) -> bool:
-    """Whether the line ends where, and as, it begins."""
+def _shapes(where: str, road: Element) -> tuple[list[Element], list[str]]:
+    """The <geometry> elements in their order, without those of length 0, and notes of these."""
+    shapes = sorted(road.findall("planView/geometry"), key=lambda shape: number_of(where, shape, "s"))
+    empty = [shape for shape in shapes if 0.0 <= number_of(where, shape, "length") < SHORTEST]
+    shapes = [shape for shape in shapes if shape not in empty]
+    if not shapes:
+        raise ConfigError(f"{where}: it has no <planView> with a <geometry> longer than 0.")
+    places = ", ".join(f"{number_of(where, shape, 's'):.2f}" for shape in empty)
+    return shapes, [f"elements of length 0 are left out, at s = {places} m"] if empty else []
+
+
+def _close_gaps(table: Pieces, notes: list[str]) -> tuple[Pieces, NDArray[np.complex128]]:
+    """Close the gaps from `GAP` to `TOLERANCE`, and note them; with the shift of each piece (m, x + i y).
+
+    The pieces behind a gap are moved. On a lap, the distance by which the end then misses the start is shared out
+    among all joints.
+    """
+    first, last = (points.x + 1j * points.y for points in table.ends())
+    gaps, lap = np.roll(first, -1) - last, _meets_itself(table, TOLERANCE)
+    closable = (np.abs(gaps) > GAP) & (np.abs(gaps) <= TOLERANCE)
+    closable[-1] &= lap
+    shifts = -np.concatenate([[0.0], np.cumsum(np.where(closable, gaps, 0.0))[:-1]])
+    if not closable.any():
+        return table, shifts
+    if lap:
+        shifts += (gaps[-1] - shifts[-1]) * np.arange(gaps.size) / gaps.size
+    widest = int(np.argmax(np.where(closable, np.abs(gaps), 0.0)))
+    notes.append(
+        f"gaps in the line are closed: {closable.sum()}, the largest {abs(gaps[widest]):.4f} m at s = "
+        f"{table.start[widest + 1]:.2f} m; the line moves by up to {np.abs(shifts).max():.3f} m"
+    )
+    pieces = table.pieces.copy()
+    pieces[:, X] += shifts.real
+    pieces[:, Y] += shifts.imag
+    return Pieces(table.start, pieces), shifts
+
+
+def _meets_itself(table: Pieces, gap: float = GAP) -> bool:
+    """Whether the line ends within `gap` (m) of its start, in the same direction."""
     first, last = table.at(0.0), table.at(table.length)
     turn = float(last.heading - first.heading) / (2.0 * math.pi)
     apart = math.hypot(float(last.x - first.x), float(last.y - first.y))
-    return apart <= GAP and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
+    return apart <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
 
 
 def _moved(along: Along, reference: Pieces, table: Pieces) -> Along:
@@ -160,7 +248,7 @@ def _moved(along: Along, reference: Pieces, table: Pieces) -> Along:
 
 # -- shapes -----------------------------------------------------------------------------------------------------------
 def _segment(where: str, shape: Element) -> Segment:
-    length = _number(where, shape, "length")
+    length = number_of(where, shape, "length")
     kind = next((child for child in shape if child.tag in _READERS), None)
     if kind is None:
         found = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
@@ -175,11 +263,11 @@ def _line(where: str, kind: Element, length: float) -> Segment:
 
 
 def _arc(where: str, kind: Element, length: float) -> Segment:
-    return Arc(length=length, curvature=_number(where, kind, "curvature"))
+    return Arc(length=length, curvature=number_of(where, kind, "curvature"))
 
 
 def _spiral(where: str, kind: Element, length: float) -> Segment:
-    start, end = (_number(where, kind, key) for key in ("curvStart", "curvEnd"))
+    start, end = (number_of(where, kind, key) for key in ("curvStart", "curvEnd"))
     return Clothoid(length=length, start_curvature=start, end_curvature=end)
 
 
@@ -187,13 +275,13 @@ def _param_poly3(where: str, kind: Element, length: float) -> Segment:
     span = kind.get("pRange", "normalized")
     if span not in ("normalized", "arcLength"):
         raise ConfigError(f"{where}: <paramPoly3 pRange={span!r}>: must be 'normalized' or 'arcLength'.")
-    x, y = (tuple(_number(where, kind, key + axis) for key in "abcd") for axis in "UV")
+    x, y = (tuple(number_of(where, kind, key + axis) for key in "abcd") for axis in "UV")
     return Cubic(x=x, y=y, end=1.0 if span == "normalized" else length)  # type: ignore[arg-type]
 
 
 def _poly3(where: str, kind: Element, length: float) -> Segment:
     """v(u) = a + b u + c u^2 + d u^3; u ends where the arc is `length` long."""
-    a, b, c, d = (_number(where, kind, key) for key in "abcd")
+    a, b, c, d = (number_of(where, kind, key) for key in "abcd")
     nodes, weights = np.polynomial.legendre.leggauss(16)
     end = length
     for _ in range(50):
@@ -209,203 +297,3 @@ def _poly3(where: str, kind: Element, length: float) -> Segment:
 
 
 _READERS = {"line": _line, "arc": _arc, "spiral": _spiral, "poly3": _poly3, "paramPoly3": _param_poly3}
-
-
-class _Stations:
-    """The stations s of the file, as arc lengths of the reference line."""
-
-    def __init__(self, where: str, shapes: Sequence[Element], tables: Sequence[Pieces]) -> None:
-        stated = [_number(where, shape, "length") for shape in shapes]
-        first = _number(where, shapes[0], "s")
-        true = [table.length for table in tables]
-        self._file = first + np.concatenate([[0.0], np.cumsum(stated)])
-        self._own = np.concatenate([[0.0], np.cumsum(true)])
-        off = np.abs(np.subtract(stated, true))
-        self.notes: list[str] = []
-        if off.max() > STATED:
-            k = int(off.argmax())
-            self.notes.append(
-                f"the element at s = {self._file[k]:.2f} m is {true[k]:.4f} m long, the file says {stated[k]:.4f}"
-            )
-        self.length = float(self._own[-1])
-
-    def of(self, s: float) -> float:
-        """The arc length at a station."""
-        return float(np.interp(s, self._file, self._own))
-
-
-# -- lanes ------------------------------------------------------------------------------------------------------------
-Laws = tuple[list[float], Array]
-"""Where cubics in the arc length begin (m), and their coefficients (m, 4)."""
-
-
-class _Lanes:
-    """<laneOffset> and the widths of the lanes, as piecewise cubics over the arc length of the reference line."""
-
-    def __init__(self, where: str, element: Element, stations: _Stations) -> None:
-        self._where, self._stations = where, stations
-        lanes = element.find("lanes")
-        self._offset = [] if lanes is None else self._laws(lanes.findall("laneOffset"), 0.0)
-        self._sections: list[tuple[float, dict[int, tuple[str, list[tuple[float, Array]] | None]]]] = []
-        for section in [] if lanes is None else lanes.findall("laneSection"):
-            s = _number(where, section, "s")
-            found = {}
-            for lane in section.iter("lane"):
-                found[int(_number(where, lane, "id"))] = (
-                    lane.get("type", ""),
-                    None if lane.find("border") is not None else self._laws(lane.findall("width"), s),
-                )
-            self._sections.append((stations.of(s), found))
-
-    def _laws(self, elements: Iterable[Element], s: float) -> list[tuple[float, Array]]:
-        """(arc length, coefficients) of cubics whose elements count s or sOffset."""
-        found = []
-        for element in elements:
-            station = (
-                s + _number(self._where, element, "sOffset")
-                if element.get("sOffset")
-                else _number(self._where, element, "s")
-            )
-            found.append((self._stations.of(station), np.array([_number(self._where, element, key) for key in "abcd"])))
-        return sorted(found, key=lambda law: law[0])
-
-    def offset(self) -> Laws | None:
-        """The distance of the lane reference from the reference line; None where it is always 0."""
-        if not any(law.any() for _, law in self._offset):
-            return None
-        return self._combined([(1.0, self._offset)])
-
-    def middle(self, lane: int) -> Laws:
-        """The distance of the middle of a lane from the reference line.
-
-        Raises
-        ------
-        ConfigError
-            When there is no such lane, not all along the road, or one that runs against it.
-        """
-        if lane >= 0:
-            raise ConfigError(f"{self._where}: lane {lane}: only lanes to the right (-1, -2, ...) run with the road.")
-        summed: list[tuple[float, list[tuple[float, Array]]]] = [(1.0, self._offset)]
-        for inner in range(-1, lane - 1, -1):
-            summed.append((-0.5 if inner == lane else -1.0, self._width(inner)))
-        return self._combined(summed)
-
-    def _width(self, lane: int) -> list[tuple[float, Array]]:
-        laws: list[tuple[float, Array]] = []
-        for start, lanes in self._sections:
-            if lane not in lanes:
-                known = ", ".join(str(each) for each in sorted(lanes))
-                raise ConfigError(f"{self._where}: at s = {start:.2f} m there is no lane {lane}; there are {known}.")
-            laws += self._of_lane(lane, lanes, start)
-        if not laws:
-            raise ConfigError(f"{self._where}: it has no <laneSection>, so no lane {lane}.")
-        return laws
-
-    def _of_lane(self, lane: int, lanes: dict[int, Any], start: float) -> list[tuple[float, Array]]:
-        laws = lanes[lane][1]
-        if laws is None:
-            raise ConfigError(f"{self._where}: lane {lane} has a <border>, which is not read; give it a <width>.")
-        return laws or [(start, np.zeros(4))]
-
-    def _combined(self, summed: Sequence[tuple[float, list[tuple[float, Array]]]]) -> Laws:
-        """The weighted sum of piecewise cubics."""
-        starts = sorted({0.0, *(s for _, laws in summed for s, _ in laws)})
-        starts = [s for k, s in enumerate(starts) if k == 0 or s > starts[k - 1] + 1e-9]
-        rows = np.zeros((len(starts), 4))
-        for weight, laws in summed:
-            for row, s in enumerate(starts):
-                before = [law for law in laws if law[0] <= s + 1e-9]
-                if before:
-                    begin, coefficients = before[-1]
-                    rows[row] += weight * _shifted(coefficients, s - begin)
-        return starts, rows
-
-    def widths(self, lane: int | None) -> dict[str, Along]:
-        """Width to the left and to the right of the line, where the file has lanes."""
-        if not any(lanes for _, lanes in self._sections):
-            return {}
-        if lane is not None:
-            half = self._sampled([(0.5, self._width(lane))])
-            return {"width_left": half, "width_right": half}
-        found = {}
-        for name, side in (("width_left", 1), ("width_right", -1)):
-            s, values = [], []
-            for k, (start, lanes) in enumerate(self._sections):
-                end = self._sections[k + 1][0] if k + 1 < len(self._sections) else self._stations.length
-                ids = [each for each, (kind, _) in lanes.items() if each * side > 0 and kind in DRIVEN]
-                along = self._sampled([(1.0, self._of_lane(each, lanes, start)) for each in ids], start, end)
-                s += list(along.s)
-                values += list(along.value)
-            found[name] = _increasing(s, np.maximum(values, 0.01))
-        return found
-
-    def _sampled(
-        self, summed: Sequence[tuple[float, list[tuple[float, Array]]]], start: float = 0.0, end: float | None = None
-    ) -> Along:
-        end = self._stations.length if end is None else end
-        starts, rows = self._combined(summed)
-        s = np.linspace(start, end, max(1, math.ceil((end - start) / SAMPLES)) + 1)
-        row = np.maximum(np.searchsorted(starts, s, "right") - 1, 0)
-        b = s - np.array(starts)[row]
-        c = rows[row].T
-        return _increasing(s, c[0] + b * (c[1] + b * (c[2] + b * c[3])))
-
-
-def _increasing(s: Any, values: Any) -> Along:
-    """Samples of which those at one place are moved apart by a micrometre: a step."""
-    s = np.maximum.accumulate(np.asarray(s, dtype=np.float64))
-    for k in range(1, s.size):
-        s[k] = max(s[k], s[k - 1] + 1e-6)
-    return Along.through(s, values)
-
-
-def _shifted(c: Array, b: float) -> Array:
-    """The coefficients of a cubic whose argument counts from b."""
-    slope = c[1] + b * (2.0 * c[2] + 3.0 * b * c[3])
-    return np.array([c[0] + b * (c[1] + b * (c[2] + b * c[3])), slope, c[2] + 3.0 * b * c[3], c[3]])
-
-
-# -- what else lies along ---------------------------------------------------------------------------------------------
-def _speed_limit(where: str, element: Element, stations: _Stations) -> dict[str, Along]:
-    s, values = [], []
-    for kind in element.findall("type"):
-        speed = kind.find("speed")
-        text = "" if speed is None else speed.get("max", "")
-        if speed is not None and text not in ("", "no limit", "undefined"):
-            unit = speed.get("unit", "m/s")
-            if unit not in SPEED_UNITS:
-                raise ConfigError(f"{where}: <speed unit={unit!r}>: must be one of {', '.join(SPEED_UNITS)}.")
-            limit = _number(where, speed, "max") * SPEED_UNITS[unit]
-            s.append(stations.of(_number(where, kind, "s")))
-            values.append(limit if limit > 0.0 else 1000.0)
-        elif s:  # the limit ends
-            s.append(stations.of(_number(where, kind, "s")))
-            values.append(1000.0)
-    return {"speed_limit": Along.through(np.array(s), np.array(values), "steps")} if s else {}
-
-
-def _bank(where: str, element: Element, stations: _Stations) -> dict[str, Along]:
-    """A superelevation, the roll about the line, is positive where the road falls to the right; a bank, to the left."""
-    profile = element.find("lateralProfile")
-    found = [] if profile is None else profile.findall("superelevation")
-    laws = [(stations.of(_number(where, law, "s")), [_number(where, law, key) for key in "abcd"]) for law in found]
-    if not any(any(law) for _, law in laws):
-        return {}
-    s, values = [], []
-    for k, (start, c) in enumerate(laws):
-        end = laws[k + 1][0] if k + 1 < len(laws) else stations.length
-        b = np.linspace(0.0, end - start, max(1, math.ceil((end - start) / SAMPLES)) + 1)
-        s += (start + b).tolist()
-        values += (-(c[0] + b * (c[1] + b * (c[2] + b * c[3])))).tolist()
-    return {"bank": _increasing(s, np.array(values))}
-
-
-def _number(where: str, element: Element, key: str) -> float:
-    text = element.get(key, "0" if key == "sOffset" else "")
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ConfigError(f"{where}: <{printable(element.tag)} {key}={text!r}>: must be a finite number.")
-    return number

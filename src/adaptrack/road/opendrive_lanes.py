@@ -1,0 +1,470 @@
+"""The lanes of an OpenDRIVE road, and what lies along them: widths, speed limits, bank.
+
+ASAM OpenDRIVE 1.4 to 1.8, chapters 10 and 11 (https://publications.pages.asam.net).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from adaptrack.base.errors import ConfigError
+from adaptrack.base.files import printable
+from adaptrack.road.along import NO_LIMIT, Along
+from adaptrack.road.segments import Array
+from adaptrack.road.table import Pieces
+
+Cubics = list[tuple[float, Array]]
+"""Arc lengths at which cubics begin (m), each with its coefficients."""
+Laws = tuple[list[float], Array]
+"""Where cubics in the arc length begin (m), and their coefficients (m, 4)."""
+
+SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
+HALF_TRACK = 0.75
+"""m, to both sides of the line: the bank is the mean slope of the surface between."""
+SIDES = ("both", "left", "right")
+"""To which a crossfall belongs."""
+SAMPLES = 2.0
+"""m, between the samples of widths and bank, between which straight lines are drawn."""
+DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional")
+"""Types of lanes that count to the width of a road."""
+STATED = 1e-3
+"""m, from which on a difference between the stated and the true length of an element is reported."""
+
+
+class Stations:
+    """The stations s of the file, as arc lengths of the reference line."""
+
+    def __init__(self, where: str, shapes: Sequence[Element], tables: Sequence[Pieces]) -> None:
+        self._where = where
+        stated = [number_of(where, shape, "length") for shape in shapes]
+        first = number_of(where, shapes[0], "s")
+        true = [table.length for table in tables]
+        self._file = first + np.concatenate([[0.0], np.cumsum(stated)])
+        self._own = np.concatenate([[0.0], np.cumsum(true)])
+        off = np.abs(np.subtract(stated, true))
+        self._notes: list[str] = []
+        if off.max() > STATED:
+            k = int(off.argmax())
+            self._notes.append(
+                f"the element at s = {self._file[k]:.2f} m is {true[k]:.4f} m long, the file says {stated[k]:.4f}"
+            )
+        self.length = float(self._own[-1])
+        self._beyond: list[str] = []
+
+    @property
+    def notes(self) -> list[str]:
+        """Deviations of the file from itself."""
+        if not self._beyond:
+            return self._notes
+        return [*self._notes, f"left out, beyond the end of the road: {', '.join(dict.fromkeys(self._beyond))}"]
+
+    def of(self, s: float) -> float:
+        """The arc length at a station, also of one beyond the end."""
+        return float(np.interp(s, self._file, self._own)) + max(0.0, s - float(self._file[-1]))
+
+    def located(self, elements: Iterable[Element], section: float | None = None) -> list[tuple[float, Element]]:
+        """Elements with the arc lengths at which they begin, in their order; those from the end on are left out.
+
+        section: the station from which `sOffset` counts; without it elements have their own `s`.
+        """
+        pairs = []
+        for element in elements:
+            if section is None:
+                station = number_of(self._where, element, "s")
+            else:
+                station = section + number_of(self._where, element, "sOffset")
+            if station < self._file[-1]:
+                pairs.append((self.of(station), element))
+            else:
+                self._beyond.append(f"{element.tag} at s = {station:.2f} m")
+        return sorted(pairs, key=lambda pair: pair[0])
+
+    def cubics(self, elements: Iterable[Element], section: float | None = None) -> Cubics:
+        """The cubics of elements with a, b, c, d; where several begin at one place, the last one."""
+        rows = {s: [number_of(self._where, law, key) for key in "abcd"] for s, law in self.located(elements, section)}
+        return [(s, np.array(row)) for s, row in rows.items()]
+
+
+# -- lanes ------------------------------------------------------------------------------------------------------------
+class _Lane(NamedTuple):
+    """A lane within one section."""
+
+    type: str
+    width: Cubics | None
+    """None: it has a <border>"""
+    limits: dict[float, float]
+    """speed limits (m/s) by the arc lengths at which they begin"""
+    level: bool
+    """whether it stays level where the road is banked"""
+    direction: str
+    predecessor: str | None
+    successor: str | None
+
+    @property
+    def is_driven(self) -> bool:
+        """A lane that counts to the width of the road."""
+        return self.type in DRIVEN
+
+
+class _Stretch(NamedTuple):
+    """A side of the road within one section."""
+
+    start: float
+    """m, arc length of the reference line"""
+    end: float
+    """m, where the next section begins"""
+    lanes: dict[int, _Lane]
+
+
+class Lanes:
+    """<laneOffset> and the lanes beside it; the line is the middle of one of them, or the lane offset."""
+
+    def __init__(self, where: str, road: Element, stations: Stations, lane: int | None) -> None:
+        self._where, self._stations = where, stations
+        self._offset = stations.cubics(road.findall("lanes/laneOffset"))
+        self._left, self._right = self._sides(road.findall("lanes/laneSection"))
+        self._path = None if lane is None else self._follow(lane)
+        self.notes = [] if self._path is None else self._path_notes(self._path)
+        self._check_direction(_choice(where, road, "rule", ("RHT", "LHT")))
+
+    # ---- read
+
+    def _sides(self, sections: Iterable[Element]) -> tuple[list[_Stretch], list[_Stretch]]:
+        """The lanes to the left and to the right; a section of a single side leaves the other one as it is."""
+        sides: tuple[dict[float, dict[int, _Lane]], ...] = {0.0: {}}, {0.0: {}}
+        for start, section in self._stations.located(sections):
+            s = number_of(self._where, section, "s")
+            lanes = {int(number_of(self._where, lane, "id")): self._lane(lane, s) for lane in section.iter("lane")}
+            single = section.get("singleSide", "false").lower() in ("true", "1")
+            for side, sign in zip(sides, (1, -1), strict=True):
+                beside_ = {number: lane for number, lane in lanes.items() if number * sign > 0}
+                if beside_ or not single:
+                    side[start] = beside_
+        left, right = (
+            [
+                _Stretch(start, end, lanes)
+                for (start, lanes), end in zip(side.items(), [*side, self._stations.length][1:], strict=True)
+            ]
+            for side in sides
+        )
+        return left, right
+
+    def _lane(self, lane: Element, section: float) -> _Lane:
+        speeds = self._stations.located(lane.findall("speed"), section)
+        links = {link.tag: link.get("id") for link in lane.iterfind("link/*")}
+        return _Lane(
+            type=lane.get("type", ""),
+            width=None if lane.find("border") is not None else self._stations.cubics(lane.findall("width"), section),
+            limits={s: _limit(self._where, speed) for s, speed in speeds},
+            level=lane.get("level", "false").lower() in ("true", "1"),
+            direction=_choice(self._where, lane, "direction", ("standard", "reversed", "both")),
+            predecessor=links.get("predecessor"),
+            successor=links.get("successor"),
+        )
+
+    def _follow(self, lane: int) -> list[tuple[int, _Stretch]]:
+        """The ids of a lane from section to section.
+
+        Raises
+        ------
+        ConfigError
+            When there is no such lane, or not all along the road.
+        """
+        path: list[tuple[int, _Stretch]] = []
+        for stretch in self._left if lane > 0 else self._right:
+            lane = _next_id(*path[-1], stretch.lanes) if path else lane
+            if lane not in stretch.lanes:
+                ids = ", ".join(map(str, sorted(stretch.lanes))) or "none on its side"
+                raise ConfigError(
+                    f"{self._where}: at s = {stretch.start:.2f} m there is no lane {lane}; there are {ids}."
+                )
+            path.append((lane, stretch))
+        return path
+
+    def _check_direction(self, rule: str) -> None:
+        """Refuse a lane that is driven against the direction of the road."""
+        for number, stretch in self._path or ():
+            lane = stretch.lanes[number]
+            if not _runs_with_road(number, lane, rule):
+                lanes = self._right[0].lanes | self._left[0].lanes
+                ids = ", ".join(str(k) for k in sorted(lanes) if _runs_with_road(k, lanes[k], rule)) or "none"
+                raise ConfigError(
+                    f"{self._where}: lane {number} runs against the road (rule={rule!r}, direction="
+                    f"{lane.direction!r}): choose one of the lanes that run with the road: {ids}."
+                )
+
+    def _path_notes(self, path: Sequence[tuple[int, _Stretch]]) -> list[str]:
+        """Where the lane has a new id, or is no driving lane."""
+        first = path[0][0]
+        notes = [
+            f"lane {first} is lane {number} from s = {stretch.start:.2f} m on"
+            for (before, _), (number, stretch) in itertools.pairwise(path)
+            if number != before
+        ]
+        types = {stretch.lanes[number].type for number, stretch in path} - set(DRIVEN)
+        return [*notes, f"lane {first} is of type {printable(', '.join(sorted(types)))}"] if types else notes
+
+    # ---- distances and widths
+
+    @cached_property
+    def line(self) -> Laws | None:
+        """The distance of the line from the reference line; None where it is always 0."""
+        if self._path is None:
+            return self._combined([(1.0, self._offset)]) if any(law.any() for _, law in self._offset) else None
+        summed = [(1.0, self._offset)]
+        for rank in range(1, max(abs(number) for number, _ in self._path) + 1):
+            cubics: Cubics = []
+            for number, stretch in self._path:
+                share = 1.0 if rank < abs(number) else 0.5 if rank == abs(number) else 0.0
+                inner = int(math.copysign(rank, number))
+                widths = self._width(inner, stretch) if share else [(stretch.start, np.zeros(4))]
+                cubics += [(s, math.copysign(share, number) * width) for s, width in widths]
+            summed.append((1.0, cubics))
+        return self._combined(summed)
+
+    def _width(self, number: int, stretch: _Stretch) -> Cubics:
+        """The width of a lane within a section."""
+        if number not in stretch.lanes:
+            raise ConfigError(f"{self._where}: at s = {stretch.start:.2f} m there is no lane {number}.")
+        width = stretch.lanes[number].width
+        if width is None:
+            raise ConfigError(f"{self._where}: lane {number} has a <border>, which is not read; give it a <width>.")
+        return width or [(stretch.start, np.zeros(4))]
+
+    def _combined(self, summed: Sequence[tuple[float, Cubics]]) -> Laws:
+        """The weighted sum of piecewise cubics."""
+        starts = sorted({0.0, *(s for _, laws in summed for s, _ in laws)})
+        starts = [s for k, s in enumerate(starts) if k == 0 or s > starts[k - 1] + 1e-9]
+        rows = np.zeros((len(starts), 4))
+        for weight, laws in summed:
+            for row, s in enumerate(starts):
+                before = [law for law in laws if law[0] <= s + 1e-9]
+                if before:
+                    begin, coefficients = before[-1]
+                    rows[row] += weight * _shifted(coefficients, s - begin)
+        return starts, rows
+
+    def widths(self) -> dict[str, Along]:
+        """Width to the left and to the right of the line, where the file has lanes."""
+        if self._path is not None:
+            half = self._sampled([(0.5, [law for step in self._path for law in self._width(*step)])])
+            return {"width_left": half, "width_right": half}
+        sides = {"width_left": self._left, "width_right": self._right}
+        if not any(stretch.lanes for side in sides.values() for stretch in side):
+            return {}
+        return {name: self._side_width(side) for name, side in sides.items()}
+
+    def _side_width(self, side: Sequence[_Stretch]) -> Along:
+        """The width of all driving lanes of a side."""
+        s, values = [], []
+        for stretch in side:
+            widths = [(1.0, self._width(number, stretch)) for number, lane in stretch.lanes.items() if lane.is_driven]
+            along = self._sampled(widths, stretch.start, stretch.end)
+            s += list(along.s)
+            values += list(along.value)
+        return _increasing(s, np.maximum(values, 0.01))
+
+    def _sampled(self, summed: Sequence[tuple[float, Cubics]], start: float = 0.0, end: float | None = None) -> Along:
+        end = self._stations.length if end is None else end
+        s = _samples(start, end)
+        return _increasing(s, _law_values(self._combined(summed), s))
+
+    # ---- what lies along the lanes
+
+    def limits(self) -> list[tuple[float, float, dict[float, float]]]:
+        """Start and end (m) of the lanes that count, and their speed limits (m/s) by arc length.
+
+        Without a lane all driving lanes count.
+        """
+        path = self._path or [
+            (number, stretch)
+            for stretch in (*self._left, *self._right)
+            for number, lane in stretch.lanes.items()
+            if lane.is_driven
+        ]
+        return [
+            (stretch.start, stretch.end, {stretch.start: NO_LIMIT} | stretch.lanes[number].limits)
+            for number, stretch in path
+        ]
+
+    def levels(self) -> list[tuple[float, bool]]:
+        """Where sections of the lane begin (m), and whether it stays level there."""
+        return [(stretch.start, stretch.lanes[number].level) for number, stretch in self._path or ()]
+
+
+def _next_id(number: int, stretch: _Stretch, lanes: dict[int, _Lane]) -> int:
+    """The id of a lane in the next section: by the link to it, or the link back, or else unchanged."""
+    linked = {str(after): after for after in lanes}.get(stretch.lanes[number].successor or "")
+    if linked is not None:
+        return linked
+    return next((after for after, lane in lanes.items() if lane.predecessor == str(number)), number)
+
+
+def _runs_with_road(number: int, lane: _Lane, rule: str) -> bool:
+    """Whether a lane is driven in the direction of the road."""
+    if lane.direction == "both" or lane.type == "bidirectional":
+        return True
+    return ((number < 0) == (rule == "RHT")) == (lane.direction == "standard")
+
+
+def _samples(start: float, end: float) -> Array:
+    return np.linspace(start, end, max(1, math.ceil((end - start) / SAMPLES)) + 1)
+
+
+def _law_values(laws: Laws, s: Array) -> Array:
+    """Piecewise cubics at arc lengths."""
+    starts, rows = np.array(laws[0]), laws[1]
+    row = np.maximum(np.searchsorted(starts, s, "right") - 1, 0)
+    return _cubic(rows[row].T, s - starts[row])
+
+
+def _cubic(c: Array, b: Array) -> Array:
+    """A cubic with the coefficients c."""
+    return np.asarray(c[0] + b * (c[1] + b * (c[2] + b * c[3])))
+
+
+def _increasing(s: Any, values: Any) -> Along:
+    """Samples of which those at one place are moved apart by a micrometre: a step."""
+    s = np.maximum.accumulate(np.asarray(s, dtype=np.float64))
+    for k in range(1, s.size):
+        s[k] = max(s[k], s[k - 1] + 1e-6)
+    return Along.through(s, values)
+
+
+def _shifted(c: Array, b: float) -> Array:
+    """The coefficients of a cubic whose argument counts from b."""
+    slope = c[1] + b * (2.0 * c[2] + 3.0 * b * c[3])
+    return np.array([c[0] + b * (c[1] + b * (c[2] + b * c[3])), slope, c[2] + 3.0 * b * c[3], c[3]])
+
+
+# -- what else lies along ---------------------------------------------------------------------------------------------
+def _limit(where: str, speed: Element | None) -> float:
+    """A speed limit, m/s."""
+    if speed is None or speed.get("max", "") in ("", "no limit", "undefined"):
+        return NO_LIMIT
+    unit = speed.get("unit", "m/s")
+    if unit not in SPEED_UNITS:
+        raise ConfigError(f"{where}: <speed unit={unit!r}>: must be one of {', '.join(SPEED_UNITS)}.")
+    limit = number_of(where, speed, "max") * SPEED_UNITS[unit]
+    return limit if limit > 0.0 else NO_LIMIT
+
+
+def speed_limit(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:
+    """The lowest limit of the lanes that count: their own, or else that of the road."""
+    types = stations.located(road.findall("type"))
+    road_limits = {0.0: NO_LIMIT} | {s: _limit(where, kind.find("speed")) for s, kind in types}
+    lane_limits = lanes.limits()
+    places = sorted({*road_limits, *(s for _, end, limits in lane_limits for s in limits if s < end)})
+    values = []
+    for place in places:
+        general = _latest(road_limits, place)
+        limits = [_latest(limits, place) for start, end, limits in lane_limits if start <= place < end]
+        values.append(min((general if limit == NO_LIMIT else limit for limit in limits), default=general))
+    if min(values) == NO_LIMIT:
+        return {}
+    return {"speed_limit": Along.through(np.array(places), np.array(values), "steps")}
+
+
+def _latest(steps: Mapping[float, float], place: float) -> float:
+    """The value of steps at a place."""
+    return steps[max(s for s in steps if s <= place)]
+
+
+class _Surface:
+    """The lateral profile: superelevation, crossfall and shape."""
+
+    def __init__(self, where: str, road: Element, stations: Stations) -> None:
+        profile = "lateralProfile/"
+        falls = road.findall(profile + "crossfall")
+        self._roll = stations.cubics(road.findall(profile + "superelevation"))
+        self._falls = [
+            stations.cubics(fall for fall in falls if _choice(where, fall, "side", SIDES) in ("both", side))
+            for side in ("left", "right")
+        ]
+        shapes: dict[float, list[tuple[float, Array]]] = {}
+        for shape in road.findall(profile + "shape"):
+            s, t, *cubic = (number_of(where, shape, key) for key in ("s", "t", *"abcd"))
+            shapes.setdefault(stations.of(s), []).append((t, np.array(cubic)))
+        self._sections = sorted(shapes.items(), key=lambda section: section[0])
+
+    @property
+    def starts(self) -> set[float]:
+        """Where an element begins, m."""
+        return {s for cubics in (self._roll, *self._falls) for s, _ in cubics} | {s for s, _ in self._sections}
+
+    def bank(self, start: float, s: Array, t: Array) -> Array:
+        """The bank (rad) at arc lengths s from `start` to the next element, at the distances t from the reference line.
+
+        A superelevation, the roll about the line, is positive where the road falls to the right; a bank, to the left.
+        """
+        left, right = (self._height(start, s, t + side) for side in (HALF_TRACK, -HALF_TRACK))
+        return -_valid_cubic(self._roll, start, s) - np.arctan((left - right) / (2.0 * HALF_TRACK))
+
+    def _height(self, start: float, s: Array, t: Array) -> Array:
+        """The height (m) above the plane that rolls with the superelevation.
+
+        A crossfall falls to the outside; between two cross sections the height is interpolated.
+        """
+        fall = np.where(t > 0.0, *(_valid_cubic(cubics, start, s) for cubics in self._falls))
+        height = -np.tan(fall) * np.abs(t)
+        k = bisect_right(self._sections, start, key=lambda section: section[0])
+        if k == 0:
+            return np.asarray(height)
+        (begin, shape), (end, next_shape) = self._sections[k - 1], self._sections[min(k, len(self._sections) - 1)]
+        share = (s - begin) / (end - begin) if end > begin else 0.0
+        return np.asarray(height + (1.0 - share) * _shape_height(shape, t) + share * _shape_height(next_shape, t))
+
+
+def _shape_height(shape: Sequence[tuple[float, Array]], t: Array) -> Array:
+    """The height (m) of a cross section of cubics, at distances t (m)."""
+    cubics = sorted(shape, key=lambda cubic: cubic[0])
+    return _law_values(([begin for begin, _ in cubics], np.array([cubic for _, cubic in cubics])), t)
+
+
+def _valid_cubic(cubics: Cubics, start: float, s: Array) -> Array:
+    """The last of the cubics that begin at `start` or before, at arc lengths s; 0 before the first."""
+    before = [cubic for cubic in cubics if cubic[0] <= start]
+    return _cubic(before[-1][1], s - before[-1][0]) if before else np.zeros_like(s)
+
+
+def bank_of(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:
+    """The bank of the line, level where its lane is."""
+    surface, line, levels = _Surface(where, road, stations), lanes.line, dict(lanes.levels())
+    starts = sorted(s for s in {0.0, *surface.starts, *levels} if s < stations.length)
+    s: list[float] = []
+    values: list[float] = []
+    for start, end in zip(starts, [*starts[1:], stations.length], strict=True):
+        places = _samples(start, end)
+        level = levels and _latest(levels, start)
+        t = np.zeros_like(places) if line is None else _law_values(line, places)
+        s += places.tolist()
+        values += [0.0] * places.size if level else surface.bank(start, places, t).tolist()
+    return {"bank": _increasing(s, np.array(values))} if any(values) else {}
+
+
+def _choice(where: str, element: Element, key: str, choices: Sequence[str]) -> str:
+    """An attribute that is one of some words; the first where there is none."""
+    word = element.get(key, choices[0])
+    if word not in choices:
+        raise ConfigError(f"{where}: <{element.tag} {key}={word!r}>: must be one of {', '.join(choices)}.")
+    return word
+
+
+def number_of(where: str, element: Element, key: str) -> float:
+    """An attribute that is a finite number."""
+    text = element.get(key, "0" if key == "sOffset" else "")
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{where}: <{printable(element.tag)} {key}={text!r}>: must be a finite number.")
+    return number
