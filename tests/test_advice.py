@@ -16,7 +16,7 @@ from test_docs import PROJECT, described
 
 SOURCE = Path(adaptrack.__file__).parent
 PUBLIC = {name: getattr(importlib.import_module(module), name) for module, name in described()}
-MEMBERS = {member for thing in PUBLIC.values() if inspect.isclass(thing) for member in dir(thing)}
+MEMBERS = {member for subject in PUBLIC.values() if inspect.isclass(subject) for member in dir(subject)}
 NOTATION = {"cond", "d", "f", "y_ref", "var", "UINT64_C", "adaptrack_parts_step"}
 """Functions of mathematics, CSS and C, and the laws of a user."""
 PROGRAM = typer.main.get_command(app)
@@ -67,9 +67,9 @@ def members_of(kind):
 def wrong_calls(text):
     for name, arguments in re.findall(r"(?<![\w.])([A-Za-z_][\w.]*)\((?!s\))([^()]*)", text):
         last = name.rpartition(".")[2]
-        thing = PUBLIC.get(last)
-        if thing is not None:
-            names = inspect.signature(thing).parameters
+        subject = PUBLIC.get(last)
+        if subject is not None:
+            names = inspect.signature(subject).parameters
             yield from (f"{name}({word}=)" for word in re.findall(r"\b(\w+)=", arguments) if word not in names)
         elif last not in MEMBERS | NOTATION:
             yield f"{name}()"

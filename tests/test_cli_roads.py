@@ -130,8 +130,8 @@ def test_what_has_no_meaning_is_refused_with_what_to_type(arguments, words):
 def test_what_was_learned_on_another_car_is_refused_with_the_key_to_change(tmp_path):
     sigmas = dict.fromkeys(("lag_sigma", "dead_time_sigma", "delay_sigma", "stiffness_sigma"), 0.05)
     LearnedCar(car="van", lag=0.1, dead_time=0.0, stiffness=1.0, **sigmas).to_toml(tmp_path / "learned.toml")
-    done = run("drive", "town", "--vehicle", "midsize-sedan", "--learned", tmp_path / "learned.toml")
-    assert "set car = '' (in its file" in str(done.exception)
+    refusal = run("drive", "town", "--vehicle", "midsize-sedan", "--learned", tmp_path / "learned.toml")
+    assert "set car = '' (in its file" in str(refusal.exception)
 
 
 def test_a_tuning_is_refused_for_another_car_and_for_the_noise_that_it_was_found_with(tuned):

@@ -102,7 +102,7 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     if ending not in _READERS and text not in KINDS:
         known = did_you_mean(text, KINDS)
         raise UnknownName(f"no road is named {text!r}. {known} A file ends in {', '.join(_READERS)}.")
-    read = _READERS.get(ending, generate_road)
+    read: Callable[..., Road] = _READERS.get(ending, generate_road)
     for name in options:
         _check_option(text, name, read)
     return read(text, **options)

@@ -29,7 +29,7 @@ COLUMNS = {
     "bank": ("bank", "bank_rad", "banking_rad"),
 }
 """What a column may be called. Columns of other names are left out, and said."""
-UNITS = {
+COLUMN_UNITS = {
     "x": ("m",),
     "y": ("m",),
     "width_right": ("m",),
@@ -241,8 +241,8 @@ def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
 
 def _place_of(speed_column: str, header: _Header) -> int:
     """The place of the column that the caller names."""
-    wanted = speed_column.strip().lower()
-    places = [k for k, title in enumerate(header.titles) if wanted in (title.lower(), _plain(title))]
+    name = speed_column.strip().lower()
+    places = [k for k, title in enumerate(header.titles) if name in (title.lower(), _plain(title))]
     if len(places) != 1:
         hint = "there are two of them." if places else did_you_mean(speed_column, header.titles)
         raise ConfigError(f"{header.where}: no single column is {speed_column!r}: {hint}")
@@ -254,8 +254,8 @@ def _place_of(speed_column: str, header: _Header) -> int:
 def _check_unit(where: str, title: str, name: str) -> None:
     """Refuse a column that is used and whose title states another unit."""
     unit = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]", title)
-    if name and unit and unit[1].lower() not in ("", *UNITS[name]):
-        raise ConfigError(f"{where}: column {printable(title)!r}: must be in {UNITS[name][0]}; convert it.")
+    if name and unit and unit[1].lower() not in ("", *COLUMN_UNITS[name]):
+        raise ConfigError(f"{where}: column {printable(title)!r}: must be in {COLUMN_UNITS[name][0]}; convert it.")
 
 
 def _check_speeds(where: str, column: str, speeds: Array, lines: Sequence[int]) -> None:
