@@ -70,7 +70,7 @@ class PredictionModel(ABC):
 
     def turning(self) -> Array:
         """What the steering of a curved road ahead follows from: the first five of
-        `core.controllers.feed_forward.TURNING`; or (0,).
+        `core.controllers.feed_forward.Turning`; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """

@@ -224,7 +224,8 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
     if lacking:
         raise InvalidInput(
             f"profile {profile.name!r} does not measure {', '.join(lacking)}, and this MPC takes its state as it is "
-            "measured (estimator 'deadbeat'): take MPC(car, profile=...), which estimates it."
+            "measured (estimator 'deadbeat'): take the informed controller, which estimates it (--controller informed; "
+            "in Python MPC(car, profile=...))."
         )
 
 

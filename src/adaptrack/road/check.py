@@ -191,7 +191,7 @@ def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
     yield Finding(
         "jump", jumps[0].s, jumps[-1].s, size, SPEAKING_JUMP,
         f"{count} by {size:.3g} 1/m at s = {worst.s:.0f} m: a step of {step:.2g} degrees at the wheels,"
-        " which no car follows exactly; Road.smoothed rounds it",
+        " which no car follows exactly; in Python, smooth_road(road) rounds it",
         True,
     )  # fmt: skip
 
@@ -239,7 +239,8 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
             "ripple", float(first[rows[0]]), float(s[turns[rows[-1] + 1]]), float(speed[worst]), float(calm[worst]),
             f"over {half[rows].sum():.0f} m in all the curvature swings to and fro, by up to {swing[rows].max():.2g} "
             f"1/m, but moves the line by no more than noise moves points; it slows the plan, to {speed[worst]:.3g} m/s "
-            f"at s = {first[worst]:.0f} m. Fit the points without max_deviation, or smooth the road (Road.smoothed)",
+            f"at s = {first[worst]:.0f} m. Smooth the road (in Python, smooth_road(road)); if you bounded the "
+            "deviation from its points (--max-deviation), allow more",
             True,
         )  # fmt: skip
 

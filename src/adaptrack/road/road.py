@@ -64,7 +64,7 @@ class Projection(NamedTuple):
 class Road:
     """A centre line with continuous heading, and width, speed limit, friction and bank along it.
 
-    Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smoothed` makes another road.
+    Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smooth_road` rounds it.
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 

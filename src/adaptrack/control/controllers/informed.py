@@ -175,8 +175,8 @@ def _same_car(car: Vehicle, learning: Learning | Literal["auto"]) -> None:
     start = learning.start if isinstance(learning, Learning) else None
     if start is not None and start.car not in ("", car.name):
         raise InvalidInput(
-            f"Learning: start: learned of car {start.car!r}, and the controller's is {car.name!r}: begin without it, "
-            "or give it as LearnedCar(..., car='') if it is the same."
+            f"Learning: start: learned on car {start.car!r}, but the controller drives {car.name!r}: start without it; "
+            "if it is the same car, set car = '' (in its file, or in Python LearnedCar(..., car=''))."
         )
 
 
