@@ -274,6 +274,8 @@ class UserPlant(Plant):
     """as `Plant.costly`"""
     version: str = ""
     """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
+    vehicle: Vehicle | None = None
+    """the data sheet of this car: its failure distance, and in environments the planned speed and the MPC"""
 
     def __post_init__(self) -> None:
         values = flattened(self.parameters)
@@ -348,6 +350,8 @@ class SteppedPlant(ABC):
 
     steering: SteeringActuator | None = None
     """None for the profile's"""
+    vehicle: Vehicle | None = None
+    """as `UserPlant.vehicle`"""
     costly = True
     """as `Plant.costly`"""
     longest_step: float = 0.02
@@ -628,17 +632,22 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
 )
 
 
+@checked
 def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
     """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
+
+    factory: a callable, or ``"package.module:name"``, imported on first use; vehicle: a `Vehicle`; tyre: a `Tyre`, its
+    name or file, or None for the vehicle's own.
 
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
+        For a name that is taken or empty, or a factory that takes other arguments.
     """
     _registry.add(name, factory)
 
 
+@checked
 def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Plant | SteppedPlant:
     """A registered plant of a vehicle on a tyre, by default the vehicle's own.
 

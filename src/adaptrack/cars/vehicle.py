@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
 from adaptrack.base.registry import Registry
@@ -459,6 +460,7 @@ COMMONROAD: Registry[Vehicle] = Registry(
 """CommonRoad's cars by name, as `load_vehicle` knows them beside those that ship."""
 
 
+@checked
 def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     """The named vehicle, or the one that a TOML file describes (keys: the fields of `Vehicle`).
 
@@ -487,6 +489,7 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     return build(Vehicle, data, path)
 
 
+@checked
 def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
     """The named tyre, or the one that a TOML file describes (keys: the fields of `Tyre`); see `load_vehicle`."""
     path = find_data("tyres", name_or_path)

@@ -14,7 +14,6 @@ from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Finite, Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
@@ -180,7 +179,7 @@ class PredictionModel(ABC):
         return free, phi @ np.asarray(basis, float)
 
 
-_Car = Annotated[InstanceOf[Vehicle], Hint("load_vehicle(name) gives one")]
+_Car = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
 
 
 @final
@@ -361,6 +360,7 @@ _registry: Registry[PredictionModel] = Registry(
 )
 
 
+@checked
 def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
     """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
 
@@ -372,6 +372,7 @@ def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> 
     _registry.add(name, factory)
 
 
+@checked
 def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionModel:
     """A registered prediction model of a vehicle.
 
@@ -388,6 +389,7 @@ def list_models() -> list[str]:
     return _registry.names()
 
 
+@checked
 def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30.0)) -> None:
     """Test that a prediction model keeps the contract on which the controller relies.
 

@@ -18,7 +18,6 @@ from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, shown
@@ -124,7 +123,7 @@ class Tracker:
     @checked
     def __init__(
         self,
-        controller: Annotated[InstanceOf[Controller], Hint("such as MPC(car)")],
+        controller: Annotated[Controller, Hint("such as MPC(car)")],
         path: Road,
         *,
         plan: SpeedPlan | None = None,
@@ -159,11 +158,7 @@ class Tracker:
         self._kernel, self._resident = kernel, Resident(kernel)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_resident"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._load(self._kernel)
+        return {**vars(self), "_recorder": None}  # two would write one file
 
     def __repr__(self) -> str:
         planned = "planned speed" if self.plan is not None else "no plan of the speed"

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import MPC, CompiledController, CompiledScheduler, Controller
@@ -66,6 +67,7 @@ class BatchResult:
         return self.mse + move_weight * self.mean_squared_move
 
 
+@checked
 def rollout_batch(
     plant: Plant,
     controller: Controller,

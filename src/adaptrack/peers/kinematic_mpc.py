@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
@@ -66,6 +66,7 @@ class KinematicMPC(CompiledController):
         **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED),
     }
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,

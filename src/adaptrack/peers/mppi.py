@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
@@ -50,6 +50,7 @@ class MPPI(CompiledController):
         "r": DECADES,
     }  # fmt: skip
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,

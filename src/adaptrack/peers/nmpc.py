@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
@@ -94,6 +94,7 @@ class NMPC(Controller):
     diagnostic_names = ("held", "iterations", "change")
     sees_all_sensors = True
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,

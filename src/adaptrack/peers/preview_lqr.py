@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
@@ -51,6 +51,7 @@ class PreviewLQR(CompiledController):
         "r": FIXED,
     }  # only the ratios to r count
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Hint, Positive, checked, real
 from adaptrack.base.errors import InvalidInput
@@ -237,7 +236,7 @@ class CompiledController(Controller):
         tuning: Mapping[str, float],
         *,
         period: Annotated[Positive, "s"] = 0.1,
-        limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        limits: Annotated[Limits, Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
         preview: bool = False,
     ) -> None:
         self.tuning = self.check_tuning(tuning)

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -65,7 +64,7 @@ def _checked(period: float) -> float:
 def informed_tuning(
     profile: str | Profile = "road",
     period: Annotated[Positive, "s"] | None = None,
-    uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
+    uncertainty: Annotated[Uncertainty, Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
 ) -> Tuning:
     """The constant tuning in a profile; period: control period, by default the profile's.
 

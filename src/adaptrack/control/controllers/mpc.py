@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Count, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -190,19 +189,19 @@ class MPC(Controller):
     def __init__(
         self,
         vehicle: Vehicle,
-        tuning: Annotated[InstanceOf[Tuning], Hint("Tuning(Np, Nc, Q, R)")] | None = None,
+        tuning: Annotated[Tuning, Hint("Tuning(Np, Nc, Q, R)")] | None = None,
         *,
         profile: str | Profile | None = None,
         belief: GivenSteering = None,
-        uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
-        learning: Annotated[InstanceOf[Learning] | Literal["auto"], Hint(_METHOD)] | None = AUTO,
+        uncertainty: Annotated[Uncertainty, Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
+        learning: Annotated[Learning | Literal["auto"], Hint(_METHOD)] | None = AUTO,
         period: Annotated[Positive, "s"] | None = None,
-        limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
-        moves: InstanceOf[Moves] | None = None,
+        limits: Annotated[Limits, Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        moves: Moves | None = None,
         preview: bool | None = None,
         solver: str | QPSolver = "active-set",
         scheduler: Scheduler | None = None,
-        model: InstanceOf[PredictionModel] | None = None,
+        model: PredictionModel | None = None,
         estimator: str | Estimator | None = None,
         speed_floor: Annotated[Positive, "m/s"] = 1.0,
         longest_horizon: Annotated[Count, PREDICTION_HORIZON] | None = None,

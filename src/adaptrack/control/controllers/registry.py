@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers.base import Controller
@@ -71,6 +72,7 @@ _registry: Registry[Controller] = Registry(
 )
 
 
+@checked
 def register_controller(name: str, factory: Factory | str, *, words: str = "", compiled: bool = False) -> None:
     """Give a controller a name for everything that takes one: `simulate`, `drive`, `tune`, `evaluate`, `compare`.
 
@@ -88,6 +90,7 @@ def register_controller(name: str, factory: Factory | str, *, words: str = "", c
     _about[name] = About(words) if compiled else About(words, compiled=False, step_time=SLOW_STEP)
 
 
+@checked
 def get_controller(
     name: str,
     vehicle: Vehicle | str,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Array, Bounds, CompiledController, known_vehicle, steering_delay
 from adaptrack.control.controllers.limits import Limits
@@ -36,6 +37,7 @@ class Stanley(CompiledController):
         "dead_time": Bounds(0.0, 0.6),
     }
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,

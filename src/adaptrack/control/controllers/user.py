@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import DECADES, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
@@ -35,6 +35,7 @@ class UserController(CompiledController):
         When numba cannot compile the law.
     """
 
+    @checked
     def __init__(
         self,
         law: Callable[..., None],
