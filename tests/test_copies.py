@@ -1,4 +1,4 @@
-"""Copies and pickles of what drives: taken under way, here or in a different process, they continue to the same bits."""
+"""Copies and pickles of what drives: taken under way, also into a new process, they continue to the same bits."""
 
 from __future__ import annotations
 

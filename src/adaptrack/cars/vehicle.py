@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from adaptrack.base.checked import checked
+from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
 from adaptrack.base.registry import Registry
@@ -453,6 +453,8 @@ def list_tyres() -> list[str]:
     return list_data("tyres")
 
 
+LoadedVehicle = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
+"""The type of an argument."""
 COMMONROAD: Registry[Vehicle] = Registry(
     "vehicle", "load_vehicle",
     {f"commonroad-{number}": "adaptrack.peers.commonroad_plants:commonroad_vehicle" for number in (1, 2, 3)},

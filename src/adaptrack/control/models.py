@@ -15,10 +15,10 @@ from typing import Annotated, Any, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Finite, Hint, NotNegative, Positive, checked
+from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import LoadedVehicle, Vehicle
 from adaptrack.core.controllers import condensing
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.contract import compile_model
@@ -179,9 +179,6 @@ class PredictionModel(ABC):
         return free, phi @ np.asarray(basis, float)
 
 
-_Car = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
-
-
 @final
 @checked
 @dataclass(frozen=True)
@@ -197,7 +194,7 @@ class SingleTrackModel(PredictionModel):
         From its methods, when a speed or a horizon is not positive and finite.
     """
 
-    vehicle: _Car
+    vehicle: LoadedVehicle
     period: Annotated[Positive, "s"] = 0.1
     states = MEASURED[:4]
 
@@ -250,7 +247,7 @@ class PathModel(PredictionModel):
     included.
     """
 
-    vehicle: _Car
+    vehicle: LoadedVehicle
     period: Annotated[Positive, "s"] = 0.1
     lag: Annotated[NotNegative, "s"] = 0.0
     dead_time: Annotated[NotNegative, "s"] = 0.0
@@ -356,7 +353,7 @@ class UserModel(PredictionModel):
 
 
 _registry: Registry[PredictionModel] = Registry(
-    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}
+    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}, ("vehicle", "period")
 )
 
 

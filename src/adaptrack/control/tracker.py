@@ -99,7 +99,7 @@ class Tracker:
     Parameters
     ----------
     controller : Controller
-        An MPC, or any other that takes roads, without a scheduler. A filter that takes late samples in
+        An MPC or any other, without a scheduler. A filter that takes late samples in
         (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One without a filter is
         given the v_y of a steady turn where none is measured.
     path : Road
@@ -295,7 +295,8 @@ class Tracker:
         speed, station, count = kernel.ahead.tolist()
         state = kernel.measured if isinstance(self.controller, MPC) else kernel.measured[:4]
         self._ahead = RoadAhead(self.path, station, kernel.speeds[: int(count)].copy())
-        answered = self.controller.step(state.copy(), speed, np.zeros(1), road=self._ahead)
+        ahead = {"road": self._ahead} if self.controller.sees_road else {}
+        answered = self.controller.step(state.copy(), speed, np.zeros(1), **ahead)
         answer = command_of(answered, float(kernel.memory[0].command))
         state, bound = self._belief_of(answered)
         kernel.answer[:] = answer.angle, answer.held, state, bound

@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.cars.vehicle import LoadedVehicle, Steering
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.setup import LoopSetup
@@ -69,7 +69,7 @@ class KinematicMPC(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         *,
         cutoff: float = CUTOFF,
         stages: int = STAGES,

@@ -8,7 +8,7 @@ from typing import Any
 
 from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
+from adaptrack.cars.vehicle import LoadedVehicle, Steering, Tyre, in_periods
 from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.peers.kernels import mppi as kernel
@@ -53,7 +53,7 @@ class MPPI(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
+from adaptrack.cars.vehicle import LoadedVehicle, Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
 from adaptrack.control.controllers.informed import HORIZON, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
@@ -97,7 +97,7 @@ class NMPC(Controller):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.cars.vehicle import LoadedVehicle, Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
@@ -54,7 +54,7 @@ class PreviewLQR(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         *,
         q_e: float = 1.0,
         q_heading: float = 100.0,

@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import LoadedVehicle, Vehicle
 from adaptrack.control.controllers.base import (
     DECADES,
     FIXED,
     Array,
     Bounds,
     CompiledController,
-    known_vehicle,
     steering_delay,
 )
 from adaptrack.control.controllers.limits import Limits
@@ -61,7 +60,7 @@ class LQR(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         *,
         q_e: Annotated[Positive, "1/m^2"] = 1.0,
         q_heading: Annotated[Positive, "1/rad^2"] = 100.0,
@@ -71,7 +70,7 @@ class LQR(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        self.vehicle = known_vehicle("LQR", vehicle)
+        self.vehicle = vehicle
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Count, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import LoadedVehicle, Vehicle
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
@@ -188,7 +188,7 @@ class MPC(Controller):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         tuning: Annotated[Tuning, Hint("Tuning(Np, Nc, Q, R)")] | None = None,
         *,
         profile: str | Profile | None = None,

@@ -68,8 +68,9 @@ _SHIPPED: dict[str, tuple[str, About]] = {
 }
 _about: dict[str, About] = {name: about for name, (_, about) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(
-    "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()}
-)
+    "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()},
+    ("vehicle",),
+)  # fmt: skip
 
 
 @checked
@@ -84,7 +85,7 @@ def register_controller(name: str, factory: Factory | str, *, words: str = "", c
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that is neither.
+        For a name that is taken or empty, or a factory that takes no vehicle.
     """
     _registry.add(name, factory)
     _about[name] = About(words) if compiled else About(words, compiled=False, step_time=SLOW_STEP)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptrack.base.checked import checked
-from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers.base import Array, Bounds, CompiledController, known_vehicle, steering_delay
+from adaptrack.cars.vehicle import LoadedVehicle
+from adaptrack.control.controllers.base import Array, Bounds, CompiledController, steering_delay
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.core.controllers import stanley as kernel
 from adaptrack.core.synthesis import laws
@@ -40,7 +40,7 @@ class Stanley(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: LoadedVehicle,
         *,
         gain: float = 1.0,
         softening: float = 1.0,
@@ -50,7 +50,7 @@ class Stanley(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        self.vehicle = known_vehicle("Stanley", vehicle)
+        self.vehicle = vehicle
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {
