@@ -185,7 +185,7 @@ class _Argument(NamedTuple):
             return f"{name} = {shown(given)}{unit}: {found['ctx']['error']}"
         must = _classes_in_words(annotation) or _container(field) or allowed(field)
         must = must or found["msg"].removeprefix("Input should be ")
-        none = " or None" if annotation is not _without_none(annotation) else ""
+        none = " or None" if type(None) in _parts(annotation) else ""
         hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
         return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
 

@@ -25,7 +25,7 @@ from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
-from adaptrack.cars.vehicle import COMMONROAD, LoadedVehicle, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
@@ -122,7 +122,7 @@ class _Car(Plant):
     @checked
     def __init__(
         self,
-        vehicle: LoadedVehicle,
+        vehicle: VehicleArgument,
         tyre: Tyre | str | None = None,
         steering: SteeringActuator | None = None,
         steps: Count | None = None,

@@ -453,7 +453,7 @@ def list_tyres() -> list[str]:
     return list_data("tyres")
 
 
-LoadedVehicle = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
+VehicleArgument = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
 """The type of an argument."""
 COMMONROAD: Registry[Vehicle] = Registry(
     "vehicle", "load_vehicle",

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
-from adaptrack.cars.vehicle import LoadedVehicle, Vehicle
+from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.contract import compile_model
@@ -194,7 +194,7 @@ class SingleTrackModel(PredictionModel):
         From its methods, when a speed or a horizon is not positive and finite.
     """
 
-    vehicle: LoadedVehicle
+    vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
     states = MEASURED[:4]
 
@@ -247,7 +247,7 @@ class PathModel(PredictionModel):
     included.
     """
 
-    vehicle: LoadedVehicle
+    vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
     lag: Annotated[NotNegative, "s"] = 0.0
     dead_time: Annotated[NotNegative, "s"] = 0.0

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import LoadedVehicle, Steering, Vehicle
+from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
@@ -54,7 +54,7 @@ class PreviewLQR(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: LoadedVehicle,
+        vehicle: VehicleArgument,
         *,
         q_e: float = 1.0,
         q_heading: float = 100.0,
@@ -63,7 +63,7 @@ class PreviewLQR(CompiledController):
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         period: float | None = None,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle

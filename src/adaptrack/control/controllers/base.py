@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Hint, Positive, checked, real
+from adaptrack.base.checked import Positive, checked, real
 from adaptrack.base.errors import ContractError, InvalidInput, shown
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.car import Steering as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
@@ -251,7 +251,7 @@ class CompiledController(Controller):
         tuning: Mapping[str, float],
         *,
         period: Annotated[Positive, "s"] = 0.1,
-        limits: Annotated[Limits, Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
     ) -> None:
         self.tuning = self.check_tuning(tuning)

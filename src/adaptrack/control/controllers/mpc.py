@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Count, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
-from adaptrack.cars.vehicle import LoadedVehicle, Vehicle
+from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
-from adaptrack.control.controllers.limits import Limits, Moves
+from adaptrack.control.controllers.limits import Limits, LimitsArgument, Moves
 from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
@@ -188,7 +188,7 @@ class MPC(Controller):
     @checked
     def __init__(
         self,
-        vehicle: LoadedVehicle,
+        vehicle: VehicleArgument,
         tuning: Annotated[Tuning, Hint("Tuning(Np, Nc, Q, R)")] | None = None,
         *,
         profile: str | Profile | None = None,
@@ -196,7 +196,7 @@ class MPC(Controller):
         uncertainty: Annotated[Uncertainty, Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
         learning: Annotated[Learning | Literal["auto"], Hint(_METHOD)] | None = AUTO,
         period: Annotated[Positive, "s"] | None = None,
-        limits: Annotated[Limits, Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        limits: LimitsArgument | None = None,
         moves: Moves | None = None,
         preview: bool | None = None,
         solver: str | QPSolver = "active-set",

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptrack.base.checked import checked
-from adaptrack.cars.vehicle import LoadedVehicle
+from adaptrack.cars.vehicle import VehicleArgument
 from adaptrack.control.controllers.base import Array, Bounds, CompiledController, steering_delay
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import stanley as kernel
 from adaptrack.core.synthesis import laws
 
@@ -40,14 +40,14 @@ class Stanley(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: LoadedVehicle,
+        vehicle: VehicleArgument,
         *,
         gain: float = 1.0,
         softening: float = 1.0,
         yaw_rate_gain: float = 0.05,
         dead_time: float | None = None,
         period: float = 0.1,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
     ) -> None:
         self.vehicle = vehicle
