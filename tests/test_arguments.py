@@ -74,7 +74,7 @@ def named_classes(call: Any) -> dict[str, Any]:
     space = vars(sys.modules[call.__module__])
     annotations = inspect.get_annotations(target, locals=checks._Names([space]), eval_str=True)
     annotations.pop("return", None)
-    return {name: each for name, each in annotations.items() if checks._with_classes(each) is not each}
+    return {name: kind for name, kind in annotations.items() if checks._with_classes(kind) is not kind}
 
 
 @pytest.mark.parametrize("name", sorted(set(CALLS) - RESULTS - BY_HAND))

@@ -368,8 +368,8 @@ def test_a_part_of_ones_own_from_a_page_is_simulated_driven_along_a_road_and_com
         "training_length = 110.0\nseeds = [0]\nbudget = 0\nentry_speeds = false\n"
     )
     plugin = lines[2][lines[2].index("--plugin") + 1]
-    given = ["compare", "--config", "small.toml", "--plugin", plugin, "--out", "compared"]
-    monkeypatch.setattr(sys, "argv", ["adaptrack", *given])
+    arguments = ["compare", "--config", "small.toml", "--plugin", plugin, "--out", "compared"]
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
     assert cli.main() == 0
     assert "No run failed" in capsys.readouterr().out
 

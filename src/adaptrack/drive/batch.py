@@ -31,7 +31,7 @@ from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
-CompiledPlant = Annotated[Plant, Hint("simulate(...) drives a stepped one")]
+BatchPlant = Annotated[Plant, Hint("simulate(...) drives a stepped one")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class BatchResult:
 
 @checked
 def rollout_batch(
-    plant: CompiledPlant,
+    plant: BatchPlant,
     controller: Controller,
     scenarios: Scenario | RoadDrive | Sequence[Scenario | RoadDrive],
     tunings: ArrayLike | None = None,

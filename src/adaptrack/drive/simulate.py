@@ -24,7 +24,7 @@ from adaptrack.control.controllers import MPC, CompiledController, Controller, c
 from adaptrack.control.qp import QPStatus
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.plants.contract import STATE
-from adaptrack.drive.batch import Batch, BatchRuns, CompiledPlant
+from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
 from adaptrack.drive.predicted import PredictedPaths
@@ -36,7 +36,9 @@ from adaptrack.scenario.profile import Profile
 Array = NDArray[np.float64]
 
 
-Route = Annotated[Scenario | RoadDrive, Hint("load_scenario(name) and RoadDrive(load_road(file), speed) give one")]
+DriveArgument = Annotated[
+    Scenario | RoadDrive, Hint("load_scenario(name) and RoadDrive(load_road(file), speed) give one")
+]
 """What is driven."""
 
 
@@ -71,7 +73,7 @@ class _Recorder:
 def simulate(
     plant: Plant | SteppedPlant,
     controller: Controller,
-    scenario: Route,
+    scenario: DriveArgument,
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
@@ -131,9 +133,9 @@ def simulate(
 
 @checked
 def rollout(
-    plant: CompiledPlant,
+    plant: BatchPlant,
     controller: Controller,
-    scenario: Route,
+    scenario: DriveArgument,
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,

@@ -130,7 +130,7 @@ class Controller(ABC):
         if cls.name == Controller.name:
             cls.name = cls.__name__  # type: ignore[method-assign, assignment]
         arguments = inspect.signature(cls.step).parameters.values()
-        cls.sees_road = any(each.name == "road" or each.kind is each.VAR_KEYWORD for each in arguments)
+        cls.sees_road = any(argument.name == "road" or argument.kind is argument.VAR_KEYWORD for argument in arguments)
         if cls.tuning_bounds and not cls.tuning_names:
             cls.tuning_names = tuple(cls.tuning_bounds)
 
