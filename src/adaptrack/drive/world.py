@@ -126,9 +126,9 @@ class World:
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """`core.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
+        """`core.loop.Settings`; without a driver the speed follows its profile exactly."""
         profile, driver, steering = self.profile, self.driver, self.steering
-        return loop_kernel.SETTINGS(
+        return loop_kernel.Settings(
             period=self.period,
             substeps=substeps,
             prescribed_speed=driver is None,

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit, steering_limit
@@ -60,6 +60,7 @@ def smallest_radius(car: Vehicle) -> float:
     return math.hypot(car.wheelbase / math.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
 
 
+@checked
 def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None) -> list[Finding]:
     """What of a road a car cannot drive, then what it must know: the worst place of each stretch.
 

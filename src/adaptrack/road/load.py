@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import build, read_toml
 from adaptrack.road.along import ALONG, alongs
@@ -75,6 +76,7 @@ _READERS: dict[str, Callable[..., Road]] = {
 }
 
 
+@checked
 def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     """A road from a file, or one of the kinds that `generate_road` knows.
 

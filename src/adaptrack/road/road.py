@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import reals
+from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
@@ -141,6 +141,7 @@ class Road:
     # ---- made of
 
     @classmethod
+    @checked
     def from_segments(
         cls,
         segments: Sequence[Segment],

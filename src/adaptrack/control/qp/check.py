@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput
 from adaptrack.control.qp.problem import QP, Array, QPStatus, Solution, kkt_residuals
 from adaptrack.control.qp.solver import QPSolver
@@ -47,6 +48,7 @@ def ill_conditioned_problem() -> tuple[QP, Array]:
     return QP(E, -(E @ x) - M.T @ lam, M, np.full(12, 0.25)), x
 
 
+@checked
 def check_qp_solver(solver: QPSolver) -> None:
     """Test ``solver`` against the contract of `QPSolver`; raise `ContractError` naming the clause it breaks.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.base.registry import Registry
 from adaptrack.control.qp.solver import EXACT, QPSolver
 
@@ -26,6 +27,7 @@ _registry: Registry[QPSolver] = Registry(
 DEFAULT = EXACT
 
 
+@checked
 def register_qp_solver(name: str, factory: Factory | str) -> None:
     """Make ``get_qp_solver(name)`` call ``factory``: a callable, or ``"package.module:name"`` imported on first use.
 
@@ -34,6 +36,7 @@ def register_qp_solver(name: str, factory: Factory | str) -> None:
     _registry.add(name, factory)
 
 
+@checked
 def get_qp_solver(name: str = DEFAULT, **options: Any) -> QPSolver:
     """A new solver; ``options`` go to its factory.
 
