@@ -120,10 +120,7 @@ _PUBLIC = {
     "control.qp": (
         "QP",
         "Solution",
-        "check_qp_solver",
         "get_qp_solver",
-        "list_qp_solvers",
-        "register_qp_solver",
     ),
     "control.controllers": (
         "BeliefState",
@@ -300,7 +297,7 @@ if TYPE_CHECKING:
         list_models,
         register_model,
     )
-    from adaptrack.control.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
+    from adaptrack.control.qp import QP, Solution, get_qp_solver
     from adaptrack.control.scheduling import (
         Constant,
         Guarded,
@@ -445,7 +442,6 @@ __all__ = [
     "check_estimator",
     "check_model",
     "check_plant",
-    "check_qp_solver",
     "check_road",
     "check_scheduler",
     "commonroad_parameters",
@@ -474,7 +470,6 @@ __all__ = [
     "list_models",
     "list_plants",
     "list_profiles",
-    "list_qp_solvers",
     "list_scenarios",
     "list_schedulers",
     "list_tyres",
@@ -501,7 +496,6 @@ __all__ = [
     "register_estimator",
     "register_model",
     "register_plant",
-    "register_qp_solver",
     "road_through",
     "rollout",
     "rollout_batch",
