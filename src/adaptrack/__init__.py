@@ -73,7 +73,6 @@ _PUBLIC = {
         "commonroad_plant",
         "commonroad_vehicle",
     ),
-    "peers.process_plant": ("ProcessPlant",),
     "road": (
         "Road",
         "check_road",
@@ -332,7 +331,6 @@ if TYPE_CHECKING:
     from adaptrack.peers.mppi import MPPI
     from adaptrack.peers.nmpc import NMPC
     from adaptrack.peers.preview_lqr import PreviewLQR
-    from adaptrack.peers.process_plant import ProcessPlant
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
@@ -398,7 +396,6 @@ __all__ = [
     "PredictedPaths",
     "PredictionModel",
     "PreviewLQR",
-    "ProcessPlant",
     "Profile",
     "PurePursuit",
     "RandomCar",
