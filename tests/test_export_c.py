@@ -25,6 +25,7 @@ from adaptrack.export.c_library import export_c, own_target
 from adaptrack.export.recorded import record_drive
 from adaptrack.export.tracking import Twin
 from adaptrack.road import Comfort, plan_speed, road_through
+from references.daqp import Daqp
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 HERE = Path(__file__).parent
@@ -570,7 +571,7 @@ class InPython(at.Controller):
     [
         (InPython, "controller 'my own' is none that is compiled ahead"),
         (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
-        (lambda: at.MPC(CAR, solver="daqp"), "QP solver 'daqp' .* is Python's"),
+        (lambda: at.MPC(CAR, solver=Daqp()), "QP solver 'daqp' .* is Python's"),
         (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),
     ],
 )

@@ -25,6 +25,7 @@ from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import Driver
 from adaptrack.scenario import Ramp, Scenario, load_scenario
 from adaptrack.scenario.profile import Profile, load_profile
+from references.daqp import Daqp
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = [
@@ -728,7 +729,7 @@ def test_the_drivers_numbers_are_checked():
         {"which": [0, 0]},
         {"scenarios": []},
         {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
-        {"controller": published_mpc(CAR, solver="daqp")},
+        {"controller": published_mpc(CAR, solver=Daqp())},
         {"controller": published_mpc(CAR, scheduler=Constant(CALM))},
         {"controller": None},
         {"failure": 5.0},
@@ -749,7 +750,7 @@ def test_a_batch_refuses_what_does_not_fit(arguments):
 
 
 def test_a_compiled_run_refuses_a_controller_that_needs_python():
-    for mpc in (published_mpc(CAR, scheduler=lambda variables: CALM), published_mpc(CAR, solver="daqp")):
+    for mpc in (published_mpc(CAR, scheduler=lambda variables: CALM), published_mpc(CAR, solver=Daqp())):
         with pytest.raises(InvalidInput, match="simulate"):
             rollout(SingleTrack(CAR), mpc, SHORT)
 
