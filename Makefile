@@ -14,7 +14,7 @@ help: ## list the targets
 
 install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
 
-$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/kernels -name '*.py')
+$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core -name '*.py')
 	@command -v ld ld.lld > /dev/null || { \
 	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
 	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \
@@ -100,7 +100,7 @@ LOCKED := --extra compile --extra cluster --extra docs --extra dev
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
-	$(COMPILE) --extra bench --extra commonroad --extra fmu --extra gym --extra link --extra plants --constraints requirements.lock --output-file requirements-extras.lock
+	$(COMPILE) --extra bench --extra commonroad --extra fmu --extra gym --extra link --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
 	rm -rf .venv build dist results docs/_build src/adaptrack/core/built src/adaptrack/export/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -169,7 +169,7 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
         "informed-anfis": Question("simulate random-drive -o seed=1 --profile road --scheduler informed-road-anfis"),
         "tuned": Question("simulate lane-change --profile road --np 30 --nc 10 --q 1 --r 3000 --solver hildreth"),
         **{name: Question(f"simulate random-drive --profile road --vehicle midsize-sedan --controller {name}")
-           for name in ("lqr", "pure-pursuit", "stanley", "preview-lqr", "kinematic-mpc", "mppi")},
+           for name in ("lqr", "pure-pursuit", "stanley", "preview-lqr", "kinematic-mpc")},
         "single-track": Question("simulate sine --plant single-track --tyre constant-stiffness --driver"),
     },
     "drive": {

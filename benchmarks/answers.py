@@ -405,8 +405,6 @@ def steering_laws(at: Any) -> Named:
         "lqr": at.LQR(car, period=0.05), "lqr, preview": at.LQR(car, period=0.05, preview=True, preview_time=0.3),
         "preview lqr": at.PreviewLQR(car, **told), "preview lqr, production": at.PreviewLQR(car, profile="production"),
         "pure pursuit": at.PurePursuit(car, period=0.05), "stanley": at.Stanley(car, period=0.05, preview=True),
-        "mppi": at.MPPI(car, samples=128, horizon=0.8, **told),
-        "mppi, production": at.MPPI(car, samples=64, horizon=0.5, rounds=2, seed=3, profile="production"),
         "kinematic mpc": at.KinematicMPC(car, stages=20, **told),
         "kinematic mpc, no filter": at.KinematicMPC(car, stages=10, step=0.15, cutoff=0.0, lateral_jerk=0.5),
         "a user's": users_law(at),
@@ -456,12 +454,9 @@ def trackers(at: Any) -> Named:
     makers: dict[str, Callable[[], Any]] = {
         "informed": lambda: at.MPC(car, profile="road"), "learning": lambda: at.MPC(car, learning=at.Learning()),
         "published": lambda: at.published_mpc(car, period=0.05), "lqr": lambda: at.LQR(car, period=0.05),
-        "mppi": lambda: at.MPPI(car, samples=64, horizon=0.5),
     }  # fmt: skip
     for name, make in makers.items():
         for where, road in (("ring", ring(at)), ("elements", own_road(at))):
-            if name == "mppi" and where == "elements":
-                continue
             tracker, found = at.Tracker(make(), road), []
             for k in range(STEPS):
                 now = t[k - 1] if repeated[k] and k else t[k]
@@ -559,7 +554,6 @@ def drivers(at: Any, profile: str) -> dict[str, Any]:
         "laguerre": at.published_mpc(car, at.Tuning(35, 8, 1.0, 500.0), period=period, moves=at.Moves.laguerre(0.8, 6)),
         "lqr": at.LQR(car, period=period, preview=preview), "pure pursuit": at.PurePursuit(car, period=period),
         "stanley": at.Stanley(car, period=period, preview=preview),
-        "mppi": at.MPPI(car, samples=128, horizon=1.0, **own),
     }  # fmt: skip
 
 

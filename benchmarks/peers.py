@@ -1,6 +1,6 @@
 """One control step beside those of others: the same tracking problem, horizon, limits and states, in one sitting.
 
-    python benchmarks/peers.py [--steps 600] [--rounds 5] [--only step,estimator,loops,cost,nonlinear] [--json]
+    python benchmarks/peers.py [--steps 600] [--rounds 5] [--only step,estimator,loops,cost] [--json]
 
 It needs the extra ``bench``; peers that are not installed are named and left out. Two problems, each with 30 predicted
 periods of 0.05 s, 10 free moves, limits on moves and angle, at a speed that changes with every step:
@@ -730,31 +730,6 @@ def batches() -> list[dict[str, Any]]:
     return found
 
 
-def nonlinear(drives: int) -> dict[str, Any]:
-    """J (m^2) and failures of the nonlinear contenders and others with default tuning, on drives that set none."""
-    scenarios, rows = [random_drive(UNSEEN + i) for i in range(drives)], []
-    for profile in ("road", "production"):
-        weight = at.load_profile(profile).move_weight
-        for name in ("informed", "lqr", "mppi", "nmpc", "nmpc-as-measured"):
-            costs, used, steps = [], time.process_time(), 0
-            try:
-                controller = at.get_controller(name, CAR, profile=profile, period=PERIOD, preview=True)
-            except ImportError:
-                continue
-            for seed, scenario in enumerate(scenarios):
-                run = at.simulate(at.DualTrack(CAR), controller, scenario, profile=profile, seed=seed)
-                moves = float(np.nanmean(run.command_change**2))
-                costs.append(np.inf if run.failed else float(at.compute_metrics(run).mse) + weight * moves)
-                steps += int(np.isfinite(run.command).sum())
-            done = [each for each in costs if np.isfinite(each)]
-            rows.append({
-                "profile": profile, "controller": name, "failed": len(costs) - len(done),
-                "J": float(np.exp(np.mean(np.log(done)))) if done else None,
-                "loop_cpu_us": round((time.process_time() - used) / steps * 1e6),
-            })  # fmt: skip
-    return {"rows": rows, "drives": drives}
-
-
 def shown(title: str, found: dict[str, Any]) -> None:
     """Print a part as lines."""
     print(f"\n{title}")
@@ -773,7 +748,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--drives", type=int, default=64)
-    parser.add_argument("--only", default="step,estimator,loops,cost,nonlinear")
+    parser.add_argument("--only", default="step,estimator,loops,cost")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -783,7 +758,6 @@ def main() -> None:
         "estimator": lambda: table(True, options.steps, options.rounds),
         "loops": lambda: loops(options.drives, os.cpu_count() or 1),
         "cost": lambda: cost(options.steps, options.rounds),
-        "nonlinear": lambda: nonlinear(4),
     }
     with one_blas_thread():
         found = {name: part() for name, part in parts.items() if name in options.only.split(",")}

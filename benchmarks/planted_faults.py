@@ -333,7 +333,7 @@ def mark_lines(tree: Path, faults: Sequence[Fault]) -> None:
     for fault in faults:
         by_file[fault.file].append(fault)
     for name, here in by_file.items():
-        path, kernel = tree / PACKAGE / name, name.startswith(("core/", "peers/kernels/"))
+        path, kernel = tree / PACKAGE / name, name.startswith("core/")
         source = path.read_text()
         lines = source.splitlines()
         at = {_statement(source, fault.line(tree) or 0): fault for fault in here}

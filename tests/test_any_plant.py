@@ -15,9 +15,9 @@ import adaptrack as at
 from adaptrack import cli
 from adaptrack.analysis.linearisation import linearised
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.errors import MissingExtra, UnknownName
+from adaptrack.base.errors import UnknownName
 from adaptrack.cars import plant as plant_module
-from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of, usual_plant
+from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
 from adaptrack.learning.adaptation.config import load_adaptation
@@ -221,29 +221,6 @@ def test_a_plugin_is_named_with_its_file_before_its_code_runs(monkeypatch, tmp_p
     monkeypatch.delitem(sys.modules, "of_a_stranger")
     announced = f"adaptrack: the campaign's key plugin runs the module of_a_stranger: {file}"
     assert caplog.messages == [announced, "it runs"]
-
-
-# -- CommonRoad's cars by name ----------------------------------------------------------------------------------------
-def test_commonroads_cars_have_names_and_their_drift_model_is_what_is_driven_by_default():
-    pytest.importorskip("vehiclemodels", reason="needs commonroad-vehicle-models: pip install 'adaptrack[plants]'")
-    car = load_vehicle("commonroad-1")
-    assert car == at.commonroad_vehicle(1)
-    assert usual_plant(car) == "commonroad-single-track-drift"
-    assert usual_plant(CAR) == "dual-track"
-    body = plant_module.get_plant("commonroad-multi-body", car)
-    assert linear_twin(body, car, car.domain) == twin_of(car)  # it jumps
-    drift = plant_module.get_plant("commonroad-single-track-drift", car)
-    assert linear_twin(drift, car, car.domain) is drift
-
-
-def test_without_their_package_the_remedy_is_told(monkeypatch):
-    from adaptrack.peers import commonroad_plants
-
-    commonroad_plants._shipped.cache_clear()
-    monkeypatch.setitem(sys.modules, "vehiclemodels.vehicle_parameters", None)
-    monkeypatch.setitem(sys.modules, "vehiclemodels", None)
-    with pytest.raises(MissingExtra, match="plants"):
-        load_vehicle("commonroad-1")
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

@@ -44,7 +44,7 @@ def quick(tmp_path, monkeypatch):
     folder = tmp_path / "built"
     folder.mkdir()
     monkeypatch.setattr(library, "BUILT", folder)
-    monkeypatch.setattr(builder, "kernels_of", lambda rooms: {})
+    monkeypatch.setattr(builder, "kernels_of", dict)
     monkeypatch.setattr(builder, "modules", lambda kernels, stages: [])
     monkeypatch.setattr(builder, "header", lambda kernels: "")
     monkeypatch.setattr(builder, "_emitted", lambda what, name, paths: (f"{what}-{name}", "o", b"new"))
@@ -178,7 +178,7 @@ def test_a_file_of_kernels_is_compiled_again_only_when_one_of_its_sources_has_ch
 
 
 def test_kernels_of_two_objects_call_each_other_and_give_the_bits_of_one(tmp_path):
-    kernels = builder.kernels_of(["adaptrack.core.maths"])
+    kernels = builder.kernels_of("adaptrack.core.maths")
     caller = kernels["elementary_values"]
     callees = [kernel for name, kernel in kernels.items() if kernel is not caller]
     objects, paths = [], []
@@ -246,5 +246,5 @@ def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
 
 
 def test_every_kernel_that_a_program_may_call_is_there():
-    there = builder.kernels_of(builder.ROOMS)
+    there = builder.kernels_of()
     assert not [(name, each) for name, made in EXPORTS.items() for each in made.kernels if each not in there]

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
+from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, UnknownName
 from adaptrack.cars.plant import DualTrack
 from adaptrack.comparison.cells import run_cell
 from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
 from adaptrack.comparison.statistics import ratio
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
-from adaptrack.control.controllers import MPC, About, about_controller, list_controllers
+from adaptrack.control.controllers import MPC, About, about_controller, list_controllers, registry
 from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
@@ -212,13 +212,15 @@ def test_a_scheduler_is_left_out_on_a_car_that_it_was_not_made_for():
     assert "was made for the car 'paper'" in found["left_out"]
 
 
-def test_a_contender_whose_extra_is_not_installed_is_left_out_with_the_remedy(monkeypatch: pytest.MonkeyPatch):
-    import sys
+def test_a_contender_that_needs_a_missing_package_is_left_out_with_the_remedy(monkeypatch: pytest.MonkeyPatch):
+    def nonlinear(vehicle: at.Vehicle) -> at.Controller:
+        raise MissingExtra("The controller 'nonlinear' needs CasADi: python -m pip install casadi")
 
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    found = run_cell(tiny(contenders=["nmpc"]), Cell("nmpc", "paper", "road"))
-    assert not found["rows"]
-    assert "pip install 'adaptrack[bench]'" in found["left_out"]
+    monkeypatch.setattr(registry._registry, "factories", registry._registry.factories | {"nonlinear": nonlinear})
+    monkeypatch.setattr(registry, "_about", registry._about | {"nonlinear": About("of a plug-in")})
+    result = run_cell(tiny(contenders=["nonlinear"]), Cell("nonlinear", "paper", "road"))
+    assert not result["rows"]
+    assert "pip install casadi" in result["left_out"]
 
 
 # -- driven -----------------------------------------------------------------------------------------------------------

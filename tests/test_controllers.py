@@ -30,13 +30,13 @@ from adaptrack.control.controllers import (
     register_controller,
     registry,
 )
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
+from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.control.models import register_model
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped
 from adaptrack.drive.simulate import simulate
-from adaptrack.peers.kinematic_mpc import KinematicMPC
-from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.road import generate_road
 from adaptrack.road.ahead import straight
 from adaptrack.scenario import RoadDrive, load_scenario

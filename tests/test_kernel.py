@@ -226,9 +226,9 @@ def test_a_manifest_that_is_none_is_said(built, text):
 @pytest.mark.parametrize(
     ("file", "stale", "good"),
     [
-        ("peers/kernels/mppi.py", {"mppi"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
-        ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"mppi", "preview_lqr", "lqr"}),
-        ("core/public.py", {"mppi", "kinematic_mpc", "preview_lqr"}, {"lqr", "mpc_step"}),
+        ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
+        ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
+        ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
     ],
 )
 def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, good):

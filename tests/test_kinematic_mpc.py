@@ -11,9 +11,9 @@ from scipy.signal import butter, lfilter
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering
+from adaptrack.control.controllers.kinematic_mpc import WEIGHTS, KinematicMPC, kinematic_model
+from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.core.controllers.contract import planned_speed
-from adaptrack.peers.kernels import kinematic_mpc as kernel
-from adaptrack.peers.kinematic_mpc import WEIGHTS, KinematicMPC, kinematic_model
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead, straight
 from inlined import entry

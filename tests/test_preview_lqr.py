@@ -12,8 +12,8 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers.lqr import SPEEDS
+from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
 from adaptrack.control.models import PathModel
-from adaptrack.peers.preview_lqr import PreviewLQR, steady_turn
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead, straight
 

@@ -17,12 +17,12 @@ from adaptrack.control.controllers import (
     Stanley,
     published_mpc,
 )
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
+from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.peers.kinematic_mpc import KinematicMPC
-from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario

@@ -19,9 +19,9 @@ from adaptrack.control.controllers import (
     Tuning,
     published_mpc,
 )
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
-from adaptrack.peers.kinematic_mpc import KinematicMPC
-from adaptrack.peers.preview_lqr import PreviewLQR
+from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import swarm_within
 from adaptrack.tuning.pso import Swarm

@@ -42,7 +42,7 @@ MEANT = {
         "src/adaptrack/core/synthesis/car.py": 3, "src/adaptrack/cli/car.py": 7,
         "src/adaptrack/core/build/header.py": 1, "src/adaptrack/core/synthesis/plant.py": 12,
         "src/adaptrack/export/page_data.py": 1, "src/adaptrack/export/page_inputs.py": 3,
-        "src/adaptrack/peers/commonroad_plants.py": 3,
+        "examples/plugins/commonroad_cars.py": 3,
     },
 }  # fmt: skip
 """Real uses, by file: what leads to something, nobody is asked (by a command), the older name of an option, a car's

@@ -19,8 +19,8 @@ if kernel.INTERPRETED:
     vectors.fma8 = fma8
 
 import adaptrack as at
+from adaptrack.control.controllers import preview_lqr
 from adaptrack.drive.simulate import rollout
-from adaptrack.peers import preview_lqr
 
 preview_lqr.SPEEDS = preview_lqr.SPEEDS[::10]  # fewer gains: in plain Python a Riccati equation takes milliseconds
 
@@ -33,7 +33,7 @@ def controllers():
     yield "bounded output", at.published_mpc(car, limits=at.Limits(output=(-0.5, 0.5)))
     yield "informed", at.MPC(car, profile="road")
     yield "learning", at.MPC(car, profile="road", learning=at.Learning())
-    for name in ("pure-pursuit", "stanley", "lqr", "preview-lqr", "kinematic-mpc", "mppi"):
+    for name in ("pure-pursuit", "stanley", "lqr", "preview-lqr", "kinematic-mpc"):
         yield name, at.get_controller(name, car)
 
 
@@ -49,7 +49,7 @@ def steps(controller, count, rng):
 
 def main(file, count, runs, seconds):
     rng = np.random.default_rng(1)
-    slow = {"kinematic-mpc": 10, "mppi": 50}  # times as long a step as the others
+    slow = {"kinematic-mpc": 10}  # times as long a step as the others
     found = {name: steps(each, max(count // slow.get(name, 1), 2), rng) for name, each in controllers()}
     car = at.load_vehicle("midsize-sedan")
     for i in range(runs):

@@ -64,15 +64,8 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
-    "peers.kinematic_mpc": ("KinematicMPC",),
-    "peers.mppi": ("MPPI",),
-    "peers.nmpc": ("NMPC",),
-    "peers.preview_lqr": ("PreviewLQR",),
-    "peers.commonroad_plants": (
-        "commonroad_parameters",
-        "commonroad_plant",
-        "commonroad_vehicle",
-    ),
+    "control.controllers.kinematic_mpc": ("KinematicMPC",),
+    "control.controllers.preview_lqr": ("PreviewLQR",),
     "road": (
         "Road",
         "check_road",
@@ -274,6 +267,8 @@ if TYPE_CHECKING:
         published_mpc,
         register_controller,
     )
+    from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
+    from adaptrack.control.controllers.preview_lqr import PreviewLQR
     from adaptrack.control.estimation import (
         Deadbeat,
         Estimator,
@@ -326,11 +321,6 @@ if TYPE_CHECKING:
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.training import train
-    from adaptrack.peers.commonroad_plants import commonroad_parameters, commonroad_plant, commonroad_vehicle
-    from adaptrack.peers.kinematic_mpc import KinematicMPC
-    from adaptrack.peers.mppi import MPPI
-    from adaptrack.peers.nmpc import NMPC
-    from adaptrack.peers.preview_lqr import PreviewLQR
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
@@ -349,8 +339,6 @@ _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = [
     "LQR",
     "MPC",
-    "MPPI",
-    "NMPC",
     "QP",
     "AdaptrackError",
     "BeliefState",
@@ -441,9 +429,6 @@ __all__ = [
     "check_plant",
     "check_road",
     "check_scheduler",
-    "commonroad_parameters",
-    "commonroad_plant",
-    "commonroad_vehicle",
     "compute_metrics",
     "export_c",
     "export_fmu",

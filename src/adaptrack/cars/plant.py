@@ -25,7 +25,7 @@ from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
-from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
+from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
@@ -626,8 +626,6 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
     {
         "single-track": SingleTrack,
         "dual-track": DualTrack,
-        "commonroad-single-track-drift": "adaptrack.peers.commonroad_plants:drift_of_car",
-        "commonroad-multi-body": "adaptrack.peers.commonroad_plants:mb_of_car",
     },
     ("vehicle", "tyre"),
 )
@@ -658,11 +656,6 @@ def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Pl
         When no plant has this name.
     """
     return _registry.make(name, vehicle, tyre)
-
-
-def usual_plant(vehicle: Vehicle) -> str:
-    """The name of what is driven where nobody names a plant: the drift model of CommonRoad's cars, else dual-track."""
-    return "commonroad-single-track-drift" if vehicle.name in COMMONROAD.names() else "dual-track"
 
 
 def list_plants() -> list[str]:

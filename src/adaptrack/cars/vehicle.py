@@ -17,7 +17,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
-from adaptrack.base.registry import Registry
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
@@ -455,34 +454,22 @@ def list_tyres() -> list[str]:
 
 VehicleArgument = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
 """The type of an argument."""
-COMMONROAD: Registry[Vehicle] = Registry(
-    "vehicle", "load_vehicle",
-    {f"commonroad-{number}": "adaptrack.peers.commonroad_plants:commonroad_vehicle" for number in (1, 2, 3)},
-)  # fmt: skip
-"""CommonRoad's cars by name, as `load_vehicle` knows them beside those that ship."""
-
-
 @checked
 def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     """The named vehicle, or the one that a TOML file describes (keys: the fields of `Vehicle`).
 
     Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
-    taken. A tyre file that the vehicle names is looked for beside the vehicle's file. ``commonroad-1`` to
-    ``commonroad-3`` are the data sheets of `commonroad_vehicle`, with the extra ``plants``.
+    taken. A tyre file that the vehicle names is looked for beside the vehicle's file.
 
     Raises
     ------
     UnknownName
         When no vehicle has this name.
-    MissingExtra
-        When a car of CommonRoad is requested and commonroad-vehicle-models is not installed.
     StorageError
         When the file cannot be read.
     ConfigError
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
-    if name_or_path in COMMONROAD.names():
-        return COMMONROAD.make(str(name_or_path), int(str(name_or_path)[-1]))
     path = find_data("vehicles", name_or_path)
     data = {"name": path.stem, **read_toml(path)}
     tyre = data.get("tyre")

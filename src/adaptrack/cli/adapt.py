@@ -172,7 +172,6 @@ def _tuned(requested: dict[str, Any]) -> TunedCar:
 def _write(requested: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     """What was requested and found, and the configuration that follows from it, whose path is returned."""
     from adaptrack.base.files import write_toml
-    from adaptrack.cars.plant import usual_plant
     from adaptrack.learning.adaptation.for_car import DrivenSetup, write_configuration
     from adaptrack.tuning.constant_file import ConstantTuning
 
@@ -188,7 +187,7 @@ def _write(requested: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
         out / FOUND,
         {"vehicle": vehicle.name, "answer": tuned.answer, **{key: found[key] for key in ("passed", "verdict")}},
     )
-    driven = DrivenSetup(requested["plant"] or usual_plant(vehicle), tuple(requested["plugin"] or ()), tuned.costly)
+    driven = DrivenSetup(requested["plant"] or "dual-track", tuple(requested["plugin"] or ()), tuned.costly)
     constant, quick = tuned.tuning, requested["quick"]
     return write_configuration(out, own, requested["profile"], tuned.domain, constant, quick=quick, driven=driven)
 

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
-from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, usual_plant
+from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
 from adaptrack.road import Comfort, load_road, plan_speed
@@ -154,7 +154,7 @@ def load_setting(car: str, profile: str) -> Setting:
     if parts is None:
         raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
     vehicle = load_vehicle(parts["car"])
-    plant = get_plant(parts["plant"] or usual_plant(vehicle), vehicle)
+    plant = get_plant(parts["plant"] or "dual-track", vehicle)
     return Setting(vehicle, plant, load_profile(profile))
 
 

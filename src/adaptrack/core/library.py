@@ -26,8 +26,6 @@ if WAY not in WAYS:
     raise ImportError(f"ADAPTRACK_KERNELS={WAY}: need one of {', '.join(WAYS)}.")
 
 PACKAGE = Path(__file__).parents[1]
-ROOMS = ("core", "peers/kernels")
-"""Folders of the package that the library is made of: the kernels, with their builder, and those of the peers."""
 BUILT = PACKAGE / "core" / "built"
 MANIFEST = "manifest.json"
 BUILD = "python -m adaptrack.core.build"
@@ -46,8 +44,8 @@ class NoKernels(ImportError):
 @cache
 def source_hashes() -> dict[str, str]:
     """SHA-256 of every file that the library is made of, kernels and their builder, by its place in the package."""
-    files = sorted(each for room in ROOMS for each in (PACKAGE / room).rglob("*.py"))
-    return {each.relative_to(PACKAGE).as_posix(): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}
+    files = sorted((PACKAGE / "core").rglob("*.py"))
+    return {file.relative_to(PACKAGE).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 @cache

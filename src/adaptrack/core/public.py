@@ -1,7 +1,7 @@
 """What kernels outside the core may use: others' controllers and plants, environments, kernels of one's own.
 
 This module is the core's contract with them: whatever stands here keeps its name and its meaning, and nothing else of
-the core may be imported from outside the package's own rooms (`peers` and `gym` are held to it by a linter).
+the core may be imported from outside the package's own rooms. A linter holds `gym` to it, a test the plug-ins.
 
 =====================  =============================================================================================
 writing a kernel       `inlined`, `exported`, `Caller`, `address_of`, `member`, `compiles`; types (`float64`, `vector`,

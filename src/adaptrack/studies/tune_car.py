@@ -18,7 +18,7 @@ from adaptrack.base.checked import checked, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import tells
 from adaptrack.cars.domain import Domain
-from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
+from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
@@ -196,9 +196,9 @@ def tune(
     profile
         The world: steering actuator, sensors, period.
     plant
-        What is driven, or its registered name; by default `usual_plant`: the car as a dual track, for CommonRoad's cars
-        the drift model. Where it is `costly` (`Plant.costly`) the search is on the car's twin, the unseen drives are on
-        the plant. One that is stepped in Python is driven run by run: how long that takes is logged first.
+        What is driven, or its registered name; by default the car as a dual track. Where it is `costly`
+        (`Plant.costly`) the search is on the car's twin, the unseen drives are on the plant. One that is stepped in
+        Python is driven run by run: how long that takes is logged first.
     speed, friction
         Lowest and highest, m/s and without a unit: instead of the domain's.
     uncertainty, estimator
@@ -259,7 +259,7 @@ def _car_and_plant(
 ) -> tuple[Vehicle, Plant | SteppedPlant]:
     """The car that the controller believes in, and what is driven."""
     believed = car if isinstance(car, Vehicle) else load_vehicle(car)
-    driven = usual_plant(believed) if plant is None else plant
+    driven = "dual-track" if plant is None else plant
     return believed, get_plant(driven, believed) if isinstance(driven, str) else driven
 
 

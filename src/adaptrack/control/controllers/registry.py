@@ -33,7 +33,6 @@ class About:
     ours: bool = False
 
 
-_IN_PYTHON: dict[str, Any] = {"tunable": False, "compiled": False, "step_time": SLOW_STEP}
 _SHIPPED: dict[str, tuple[str, About]] = {
     "informed": ("control.controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
     "informed-learning": ("control.variants:learning", About("the same, learning while it drives", ours=True)),
@@ -57,14 +56,11 @@ _SHIPPED: dict[str, tuple[str, About]] = {
     "pure-pursuit": ("control.controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
     "stanley": ("control.controllers.stanley:Stanley", About("Stanley, with dead time")),
     "lqr": ("control.controllers.lqr:LQR", About("LQR with curvature feed-forward")),
-    "preview-lqr": ("peers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
+    "preview-lqr": ("control.controllers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
     "kinematic-mpc": (
-        "peers.kinematic_mpc:KinematicMPC",
+        "control.controllers.kinematic_mpc:KinematicMPC",
         About("kinematic MPC with lag and dead time, Autoware's formulation"),
     ),
-    "mppi": ("peers.mppi:MPPI", About("MPPI on the tyre's curve", step_time=7e-4)),
-    "nmpc": ("peers.nmpc:NMPC", About("NMPC on the tyre's curve, with our estimator", **_IN_PYTHON)),
-    "nmpc-as-measured": ("peers.nmpc:as_measured", About("the same without an estimator", **_IN_PYTHON)),
 }
 _about: dict[str, About] = {name: about for name, (_, about) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(

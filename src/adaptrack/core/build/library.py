@@ -38,8 +38,6 @@ from .rules import violations
 from .sources import sources_of
 from .wasm_link import linked
 
-ROOMS = tuple(f"adaptrack.{room.replace('/', '.')}" for room in library.ROOMS)
-"""Packages whose kernels are compiled."""
 HEADER = "adaptrack.h"
 CACHE = "cache"
 """Folder beside the library for modules in bitcode and objects, each named by the hash of what it is made of."""
@@ -65,15 +63,12 @@ class _Stages:
         self._begin = now
 
 
-def kernels_of(rooms: Iterable[str]) -> dict[str, Any]:
-    """Every exported kernel of packages by its name: all of their modules are imported."""
-    for room in rooms:
-        package = importlib.import_module(room)
-        for found in pkgutil.walk_packages(package.__path__, f"{room}."):
-            if not found.name.startswith("adaptrack.core.build"):
-                importlib.import_module(found.name)
-    insides = tuple(f"{room}." for room in rooms)
-    return {name: each for name, each in EXPORTED.items() if each.function.__module__.startswith(insides)}
+def kernels_of(package: str = "adaptrack.core") -> dict[str, Any]:
+    """Return every exported kernel of a package by its name, after the import of all its modules."""
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        if not module.name.startswith("adaptrack.core.build"):
+            importlib.import_module(module.name)
+    return {name: kernel for name, kernel in EXPORTED.items() if kernel.function.__module__.startswith(f"{package}.")}
 
 
 def _hash(*parts: object) -> str:
@@ -273,7 +268,7 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
         raise BuildError(f"no such processor: {'; '.join(unknown)}.")
     _say(f"Compiling the kernels for {', '.join(name for _, name in jobs)}")
     stages = _Stages()
-    kernels = kernels_of(ROOMS)
+    kernels = kernels_of()
     if library.source_hashes.__wrapped__() != library.source_hashes():
         raise BuildError("a source was edited while it was read: once more.")
     paths = modules(kernels, stages)

@@ -9,14 +9,12 @@ from pathlib import Path
 from .. import library
 
 COMPILER = Path(__file__).with_name("numba_functions.py")
-PUBLIC = library.PACKAGE / "core" / "public.py"
-"""Who imports a name from it depends on the file that has the name, not on all that is public."""
 
 
 @cache
-def _imports(source: Path) -> dict[str, tuple[str, Path]]:
-    """The names that a file takes from files of the package: as what, and from which file."""
-    found = {}
+def _imports(source: Path) -> set[Path]:
+    """Return the files of the package from which a file imports names."""
+    files = set()
     for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.ImportFrom):
             continue
@@ -29,8 +27,8 @@ def _imports(source: Path) -> dict[str, tuple[str, Path]]:
             file = home / f"{name.name}.py"
             file = file if file.is_file() else home.with_suffix(".py")
             if file.is_file():
-                found[name.asname or name.name] = name.name, file
-    return found
+                files.add(file)
+    return files
 
 
 @cache
@@ -40,10 +38,5 @@ def sources_of(source: Path) -> list[str]:
     while waiting:
         here = waiting.pop()
         found.add(here)
-        for name, file in _imports(here).values():
-            if file == PUBLIC:
-                found.add(PUBLIC)
-                _, file = _imports(PUBLIC)[name]
-            waiting.add(file)
-        waiting -= found
+        waiting |= _imports(here) - found
     return sorted(each.relative_to(library.PACKAGE).as_posix() for each in found)

@@ -28,39 +28,28 @@ import math
 
 import numpy as np
 
-from adaptrack.core.public import (
+from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
+from ..maths.bits import whole
+from ..maths.exact import clip, sqrt, square
+from ..maths.exponential import exp
+from ..maths.trigonometric import atan, cos, sin, tan
+from ..maths.vectors import padded
+from ..qp import problem as qp
+from ..qp.active_set import active_set
+from ..qp.factor import factorise
+from . import predicted_path
+from .contract import (
     COMMON,
     LAW_SIGNATURE,
     SLOWEST,
     STANDING,
-    active_set,
     all_finite,
-    atan,
-    clip,
-    cos,
-    exp,
-    exported,
-    factorise,
-    inlined,
     limited,
-    padded,
     path_ahead,
     planned_speed,
-    qp,
     read_situation,
-    record,
-    shaped,
-    sin,
-    size_of,
-    sqrt,
-    square,
-    tan,
-    unpacker,
-    viewer,
-    whole,
     wrapped,
 )
-from adaptrack.peers.kernels import on_the_way as way
 
 WEIGHTS = (
     "lateral_error",  # 1/m^2, q_e
@@ -116,7 +105,7 @@ Memory = record(
         "active",  # rows of the last solution
     ),
 )  # fmt: skip
-"""What is remembered; `on_the_way` behind it, then the workspace."""
+"""What is remembered; `predicted_path` behind it, then the workspace."""
 memory_of = viewer(Memory)
 KEPT = size_of(Memory)
 First = record("First", ("now", "following"))
@@ -146,7 +135,7 @@ def _sizes(stages: int) -> list[int]:
 
 def memory_size(stages: int, behind: float) -> int:
     """How many numbers a controller remembers; behind: periods from the measured pose to the end of the dead time."""
-    return KEPT + way.size(behind) + sum(_sizes(stages))
+    return KEPT + predicted_path.size(behind) + sum(_sizes(stages))
 
 
 def limit_rows(stages: int) -> np.ndarray:
@@ -210,14 +199,14 @@ def held(speed, curvature, time, p):
 def _roll(e, theta, reference, road, s, p, sent):
     """The state at the end of the dead time from that at the measurement; and how far (m) the rear axle is then."""
     behind = (p.pose_age + p.dead_time) / p.period
-    delta, time = way.wheels_of(sent, 0).angle, -p.pose_age
+    delta, time = predicted_path.wheels_of(sent, 0).angle, -p.pose_age
     distance = -p.lr - p.pose_age * max(s.speed, SLOWEST)
-    for piece in range(way.count_pieces(behind), 0, -1):
-        h = way.share_of(piece, behind) * p.period
+    for piece in range(predicted_path.count_pieces(behind), 0, -1):
+        h = predicted_path.share_of(piece, behind) * p.period
         v = planned_speed(road, time, s.speed, p.period)
-        curvature = way.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
+        curvature = predicted_path.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
         (pe, qe, r, a), (be, bt, bd), (we, wt), _ = held(v, curvature, h, p)
-        u = way.sent(piece, sent)
+        u = predicted_path.sent(piece, sent)
         e = e + pe * theta + qe * delta + be * u + we
         theta = theta + r * delta + bt * u + wt
         delta = a * delta + bd * u
@@ -233,7 +222,7 @@ def _write_stages(distance, reference, road, s, t, p, stage):
     n = whole(p.stages)
     for i in range(n):
         v = planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
-        curvature = way.curvature_at(distance, reference, road, s, p)
+        curvature = predicted_path.curvature_at(distance, reference, road, s, p)
         distance += v * p.step
         free, driven, pushed, steady = held(v, curvature, p.step, p)
         stage[P, i], stage[Q, i], stage[R, i], stage[A, i] = free
@@ -363,17 +352,21 @@ def filtered(wanted, before, earlier, last, past, share):
 
 @inlined
 def _sent(p, memory):
-    """What `on_the_way` remembers."""
-    return (memory[KEPT : KEPT + way.SENT + 2 + way.count_pieces((p.pose_age + p.dead_time) / p.period)],)
+    """What `predicted_path` remembers."""
+    return (
+        memory[
+            KEPT : KEPT + predicted_path.SENT + 2 + predicted_path.count_pieces((p.pose_age + p.dead_time) / p.period)
+        ],
+    )
 
 
 @inlined
 def _take_last(command, p, memory):
     """Remember the last command (rad); where it is not what was answered, the inputs go on from it."""
     (sent,), own = _sent(p, memory), memory_of(memory, 0)
-    if way.wheels_of(sent, 0).started == 0.0 or abs(command - own.answered) > DISTANT:
+    if predicted_path.wheels_of(sent, 0).started == 0.0 or abs(command - own.answered) > DISTANT:
         own.before = own.earlier = own.past = clip(command, p.angle_min, p.angle_max)
-    way.take_command(command, (p.pose_age + p.dead_time) / p.period, p.period, p.lag, sent)
+    predicted_path.take_command(command, (p.pose_age + p.dead_time) / p.period, p.period, p.lag, sent)
 
 
 @inlined
@@ -381,7 +374,7 @@ def _form(s, reference, road, t, p, memory):
     """Form the problem; offset, heading error and the workspace."""
     path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
     place = -p.pose_age * max(s.speed, SLOWEST) - 0.5 * p.lr
-    turned = p.lr * way.curvature_at(place, reference, road, s, p)
+    turned = p.lr * predicted_path.curvature_at(place, reference, road, s, p)
     offset, theta = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading + turned)
     rear = offset - p.lr * sin(theta)
     (sent,), own = _sent(p, memory), memory_of(memory, 0)
@@ -398,7 +391,7 @@ def _form(s, reference, road, t, p, memory):
 def _filter(wanted, cutoff, p, memory):
     """The command (rad) for an input (rad), which is remembered."""
     (sent,), own = _sent(p, memory), memory_of(memory, 0)
-    last = way.sent(1, sent)
+    last = predicted_path.sent(1, sent)
     found = filtered(wanted, own.before, own.earlier, last, own.past, cutoff * p.period)
     own.earlier, own.before, own.past = own.before, wanted, last
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -21,9 +22,8 @@ CAR = load_vehicle("paper")
 HAIRPIN = Road.from_segments(
     [Line(length=15.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=15.0)], name="hairpin"
 )
-needs_casadi = pytest.mark.skipif(
-    not __import__("importlib").util.find_spec("casadi"), reason="needs casadi: pip install 'adaptrack[bench]'"
-)
+needs_casadi = pytest.mark.skipif(not find_spec("casadi"), reason="needs CasADi: pip install casadi")
+pytestmark = pytest.mark.slow
 
 
 def made(name="nmpc", car=CAR, **options):
@@ -32,7 +32,7 @@ def made(name="nmpc", car=CAR, **options):
 
 def test_without_casadi_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[bench\]'"):
+    with pytest.raises(MissingExtra, match="pip install casadi"):
         made()
 
 
@@ -96,7 +96,6 @@ def test_commands_on_their_way_are_driven_through_by_the_model():
 
 
 @needs_casadi
-@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["nmpc", "nmpc-as-measured"])
 def test_it_follows_a_hairpin_on_the_ideal_car(name):
     controller = made(name, profile="paper", period=0.05, preview=True)
@@ -106,7 +105,6 @@ def test_it_follows_a_hairpin_on_the_ideal_car(name):
 
 
 @needs_casadi
-@pytest.mark.compiled
 def test_its_estimator_takes_out_a_push_that_stays():
     """Side wind: what the measurements do not say ends as an offset without an estimator."""
     blown = load_scenario("lane-change", amplitude=0.0, speed=15.0, friction=1.0, gust=12.0, duration=6.0)
@@ -120,7 +118,6 @@ def test_its_estimator_takes_out_a_push_that_stays():
 
 
 @needs_casadi
-@pytest.mark.compiled
 @pytest.mark.parametrize(("name", "profile"), [("nmpc", "road"), ("nmpc-as-measured", "paper")])
 def test_it_keeps_the_contract_of_controllers(name, profile):
     check_controller(made(name, profile=profile, horizon=0.5))

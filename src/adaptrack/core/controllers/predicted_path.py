@@ -1,4 +1,4 @@
-"""Commands on their way through a dead time, and the wheel angle behind a first-order lag that they have led to.
+"""Commands that still wait for the dead time to pass, and the angle of the wheels behind a first-order lag.
 
 A law that predicts from the end of the dead time starts where its pose was measured and lets the commands sent since
 then act. Counted backwards from the end, the j-th latest command acts from j periods before it to j - 1 before it; the
@@ -9,17 +9,11 @@ from __future__ import annotations
 
 import math
 
-from adaptrack.core.public import (
-    SLOWEST,
-    ceil,
-    exp,
-    inlined,
-    path_at,
-    record,
-    size_of,
-    viewer,
-    whole,
-)
+from ..kernel import inlined, record, size_of, viewer
+from ..maths.bits import whole
+from ..maths.exact import ceil
+from ..maths.exponential import exp
+from .contract import SLOWEST, path_at
 
 Wheels = record("Wheels", ("started", "angle"))
 """What is remembered begins with: 1 after the first step, the wheel angle (rad) at the start."""

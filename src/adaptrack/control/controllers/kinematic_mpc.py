@@ -15,7 +15,7 @@ from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, Co
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
-from adaptrack.peers.kernels import kinematic_mpc as kernel
+from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
 
 WEIGHTS = {
@@ -30,7 +30,7 @@ WEIGHTS = {
     "terminal_lateral_error": 1.0,
     "terminal_heading_error": 0.1,
 }
-"""As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `peers.kernels.kinematic_mpc`."""
+"""As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `core.controllers.kinematic_mpc`."""
 CUTOFF = 3.0
 """Hz, of the filter on the command, likewise."""
 STAGES, STEP = 50, 0.1
@@ -42,7 +42,7 @@ class KinematicMPC(CompiledController):
     """MPC on the kinematic single track with first-order steering lag and dead time, after Autoware.
 
     The states are the errors of the rear axle and the wheel angle, linearised about the curvature of each stage; the
-    measured pose is rolled through the commands on their way. Equations and cost: `peers.kernels.kinematic_mpc`;
+    measured pose is rolled through the commands on their way. Equations and cost: `core.controllers.kinematic_mpc`;
     what is Autoware's and what is left out: docs/opponents.md. Autoware Universe, *MPC Lateral Controller* and *Model
     predictive control algorithm* (documentation of `autoware_mpc_lateral_controller`); J. M. Snider, *Automatic
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.

@@ -10,7 +10,6 @@ Their functions take one tyre: the friction is the mean of the four wheels.
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,6 @@ from adaptrack.core.public import (
     atan2,
     clip,
     columns,
-    compiles,
     cos,
     float64,
     inlined,
@@ -67,28 +65,15 @@ DYNAMICS = void(vector, float64, vector, vector)
 _call = Caller(DYNAMICS)
 
 
-@inlined
-def _as_it_is(car):
-    return car
-
-
-def _plain(car):
-    """A NumPy record as a namespace: some parameters are called as methods of records are, min and max."""
-    return SimpleNamespace(
-        **{name: _plain(car[name]) if car[name].dtype.names else float(car[name]) for name in car.dtype.names}
-    )
-
-
 def _dynamics(function, layout):
-    """One of their models (`DYNAMICS`) by its address, as it is long: what calls it need not be compiled with it."""
-    given = _as_it_is if compiles() else _plain
+    """Return the address of one of their models (`DYNAMICS`): a function that calls it is compiled without it."""
 
     def dynamics(x, acceleration, p, f):
-        slopes = function(x, (0.0, acceleration), given(p.view(layout)[0].car))
+        slopes = function(x, (0.0, acceleration), p.view(layout)[0].car)
         for i in range(f.size):
             f[i] = slopes[i]
 
-    return address_of(member(dynamics, DYNAMICS)) if compiles() else dynamics
+    return address_of(member(dynamics, DYNAMICS))
 
 
 @inlined

@@ -1,19 +1,22 @@
-"""MPPI."""
+"""MPPI, a controller of others as a plug-in: `--plugin mppi --controller mppi`. Needs numba, which compiles its law."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
+import mppi_kernel as kernel
 from adaptrack.base.checked import checked, real, whole
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, VehicleArgument, in_periods
 from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.peers.kernels import mppi as kernel
-from adaptrack.peers.known_car import KnownCar
+from adaptrack.control.controllers.registry import register_controller
+from adaptrack.core.public import LAW_SIGNATURE, compiles, member
 from adaptrack.scenario.profile import Profile
+from known_car import KnownCar
 
 MOST_SAMPLES, MOST_STAGES, MOST_ROUNDS = 16_384, 400, 64
 
@@ -23,7 +26,7 @@ class MPPI(CompiledController):
 
     In each period `samples` plans of steering are drawn around the last one and driven over `horizon` by the model,
     from the state in which the commands on their way leave the car; the plan moves to their mean, weighed by
-    exp(-cost/temperature). See `peers.kernels.mppi` for the equations and the sources. What a sample costs is
+    exp(-cost/temperature). See `mppi_kernel` for the equations and the sources. What a sample costs is
 
         integral of q_e e^2 + q_course chi^2 + r (du/dt)^2 over the horizon
 
@@ -40,6 +43,8 @@ class MPPI(CompiledController):
 
     Raises
     ------
+    MissingExtra
+        When numba is not installed, or kernels are interpreted.
     InvalidInput
         For arguments that make no controller.
     """
@@ -72,6 +77,7 @@ class MPPI(CompiledController):
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
+        _compiled_law()
         self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period)
         self.horizon = real("MPPI", "horizon", horizon)
         if not self.car.period <= self.horizon <= MOST_STAGES * self.car.period:
@@ -105,7 +111,7 @@ class MPPI(CompiledController):
 
     @property
     def function(self) -> Any:
-        return kernel.mppi
+        return _compiled_law()
 
     def own_parameters(self) -> tuple[float, ...]:
         car, steering = self.car, self.car.belief
@@ -120,3 +126,14 @@ class MPPI(CompiledController):
     def describe(self) -> dict[str, Any]:
         own = {"samples": self.samples, "horizon": self.horizon, "rounds": self.rounds, "seed": self.seed}
         return {**super().describe(), "law": "mppi", **own, **self.car.describe()}
+
+
+@cache
+def _compiled_law() -> Any:
+    """Return the law, compiled for this process."""
+    if not compiles():
+        raise MissingExtra("The controller 'mppi' is compiled at run time: python -m pip install 'adaptrack[compile]'")
+    return member(kernel.mppi, LAW_SIGNATURE)
+
+
+register_controller("mppi", MPPI, words="MPPI on the tyre's curve", compiled=True)

@@ -21,31 +21,25 @@ from __future__ import annotations
 
 import math
 
-from adaptrack.core.public import (
+from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
+from ..maths.bits import whole
+from ..maths.exponential import log
+from ..maths.trigonometric import cos
+from ..models import path as model
+from . import predicted_path
+from .contract import (
     COMMON,
     LAW_SIGNATURE,
     SLOWEST,
     Direction,
     all_finite,
-    cos,
-    exported,
-    inlined,
     limited,
-    log,
-    node_below,
     path_ahead,
     planned_speed,
     read_situation,
-    record,
-    shaped,
-    size_of,
-    unpacker,
-    viewer,
-    whole,
     wrapped,
 )
-from adaptrack.core.public import path_model as model
-from adaptrack.peers.kernels import on_the_way as way
+from .lqr import node_below
 
 TUNING = ("q_e", "q_heading", "r")
 PARAMETERS = (
@@ -72,7 +66,7 @@ DIAGNOSTICS = (
 answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 OF_THE_MODEL = len(model.Parameters._fields)
 KEPT = size_of(Direction)
-"""Numbers that the memory begins with; `on_the_way` behind them, then scratch."""
+"""Numbers that the memory begins with; `predicted_path` behind them, then scratch."""
 State = record("State", ("vy", "yaw", "yaw_rate", "wheel_angle"))
 """What a state begins with, without the wheel angle where there is no lag; y is its last number."""
 state_of = viewer(State)
@@ -84,7 +78,7 @@ read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
 def memory_size(states: int, previewed: int, behind: float) -> int:
     """How many numbers a controller remembers; behind: periods of dead time."""
-    return KEPT + way.size(behind) + states * (states + 3) + states + previewed
+    return KEPT + predicted_path.size(behind) + states * (states + 3) + states + previewed
 
 
 @inlined
@@ -95,15 +89,15 @@ def states_of(p):
 
 @inlined
 def _sent(p, memory):
-    """What `on_the_way` remembers."""
-    return (memory[KEPT : KEPT + way.SENT + 2 + way.count_pieces(p.dead_time / p.period)],)
+    """Return the part of the memory that `predicted_path` uses."""
+    return (memory[KEPT : KEPT + predicted_path.SENT + 2 + predicted_path.count_pieces(p.dead_time / p.period)],)
 
 
 @inlined
 def _begin(offset, heading_error, reference, road, s, p, x):
     """Write the state now: the measured pose, moved on by its age with the present motion."""
     v, n = max(s.speed, SLOWEST), x.size
-    w = v * way.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
+    w = v * predicted_path.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
     turned, state = p.pose_age * (s.yaw_rate - w), state_of(x, 0)
     state.vy, state.yaw, state.yaw_rate = s.vy, heading_error + turned, s.yaw_rate
     x[n - 1] = offset + p.pose_age * (s.vy + v * (heading_error + 0.5 * turned))
@@ -118,14 +112,14 @@ def _roll(reference, road, s, parameters, memory, x):
     a, b, e, following = scratch[:n], scratch[n], scratch[n + 1], scratch[n + 2]
     own = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
     distance, time, formed = 0.0, 0.0, 0.0
-    for piece in range(way.count_pieces(behind), 0, -1):
-        h = way.share_of(piece, behind) * p.period
+    for piece in range(predicted_path.count_pieces(behind), 0, -1):
+        h = predicted_path.share_of(piece, behind) * p.period
         if h != formed:
             model.discretise(v, h, own, a, b, e)
             formed = h
         planned = planned_speed(road, time, s.speed, p.period)
-        w = v * way.curvature_at(distance + 0.5 * planned * h, reference, road, s, p)
-        u = way.sent(piece, sent)
+        w = v * predicted_path.curvature_at(distance + 0.5 * planned * h, reference, road, s, p)
+        u = predicted_path.sent(piece, sent)
         for i in range(n):
             following[i] = b[i] * u + e[i] * w
             for j in range(n):
@@ -142,7 +136,7 @@ def _write_deviations(distance, reference, road, s, p, z):
     """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
     n, v, time = states_of(p), max(s.speed, SLOWEST), p.dead_time
     planned = planned_speed(road, time, s.speed, p.period)
-    first = now = v * way.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
+    first = now = v * predicted_path.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
     heading, steering = p.rear_slip * v - p.lr / v, p.wheelbase / v + p.understeer * v
     state = state_of(z, 0)
     state.vy += v * heading * first
@@ -154,7 +148,7 @@ def _write_deviations(distance, reference, road, s, p, z):
         distance += planned * p.period
         time += p.period
         planned = planned_speed(road, time, s.speed, p.period)
-        later = v * way.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
+        later = v * predicted_path.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
         z[n + j], now = later - now, later
     return first, steering
 
@@ -187,7 +181,7 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
     wanted = offset = heading_error = curvature = feed_forward = math.nan
     (sent,) = _sent(p, memory)
     if math.isfinite(s.command):
-        way.take_command(s.command, p.dead_time / p.period, p.period, p.lag, sent)
+        predicted_path.take_command(s.command, p.dead_time / p.period, p.period, p.lag, sent)
     if all_finite(situation) and all_finite(tuning):
         n, v = states_of(p), max(s.speed, SLOWEST)
         last = memory.size - n * (n + 3)
@@ -197,7 +191,7 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
         x = z[:n]
         _begin(offset, heading_error, reference, road, s, p, x)
         if n == 5:
-            state_of(x, 0).wheel_angle = way.wheels_of(sent, 0).angle
+            state_of(x, 0).wheel_angle = predicted_path.wheels_of(sent, 0).angle
         distance = _roll(reference, road, s, parameters, memory, x)
         w, steering = _write_deviations(distance, reference, road, s, p, z)
         curvature, feed_forward = w / v, steering * w

@@ -1,8 +1,11 @@
 """CommonRoad's cars as plants: the single-track drift model and the 29-state multi-body model.
 
-M. Althoff and G. Würsching, *CommonRoad: Vehicle Models*, 2020; their own Python functions and parameters, from the
-package commonroad-vehicle-models (extra `plants`), are compiled as they stand. `peers.kernels.commonroad` says what is
-added around them: our steering actuator, the road's friction, wind and bank.
+    --plugin commonroad_cars --plant commonroad-single-track-drift --vehicle commonroad-2.toml
+
+The other plant is ``commonroad-multi-body``; ``commonroad_vehicle(2).to_toml("commonroad-2.toml")`` writes the file of
+a car. M. Althoff and G. Würsching, *CommonRoad: Vehicle Models*, 2020; their own Python functions and parameters, from
+the package commonroad-vehicle-models, are compiled at run time as they stand. `commonroad_kernel` adds our steering
+actuator, the road's friction, wind and bank.
 """
 
 from __future__ import annotations
@@ -13,20 +16,20 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib import metadata
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import commonroad_kernel as kernel
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, UnknownName, did_you_mean
 from adaptrack.base.files import read_toml
-from adaptrack.cars.plant import UserPlant, flattened
+from adaptrack.cars.plant import UserPlant, flattened, register_plant
 from adaptrack.cars.vehicle import Body, Tyre, Vehicle
-from adaptrack.core.public import compiled_foreign, layout_of
-from adaptrack.peers.kernels import commonroad as kernel
+from adaptrack.core.public import compiled_foreign, compiles, layout_of
 
 Array = NDArray[np.float64]
 Source = Any
@@ -157,11 +160,15 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
     ------
     UnknownName
         When there is no such model.
-    MissingExtra, ConfigError, StorageError
+    MissingExtra
+        When numba is not installed, or kernels are interpreted; else as `commonroad_parameters`.
+    ConfigError, StorageError
         As `commonroad_parameters`.
     """
     if model not in MODELS:
         raise UnknownName(f"There is no CommonRoad model {model!r}. {did_you_mean(str(model), MODELS)}")
+    if not compiles():
+        raise MissingExtra("CommonRoad's models are compiled at run time: python -m pip install 'adaptrack[compile]'")
     car, sheet = commonroad_parameters(source), commonroad_vehicle(source)
     parameters = flattened({"car": car, "air": {name: getattr(air or sheet, name) for name in _AIR}})
     plant = UserPlant(
@@ -184,8 +191,8 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
     return dataclasses.replace(plant, start=_Rolling(plant, rough))
 
 
-def plant_of_car(model: str, vehicle: Vehicle, tyre: Tyre | str | None) -> UserPlant:
-    """What `get_plant` calls: the model of the CommonRoad car that a data sheet is of, in the air that it says.
+def plant_of_car(model: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> UserPlant:
+    """The model of the CommonRoad car that has this data sheet, with the air of the sheet: what `get_plant` makes.
 
     Raises
     ------
@@ -208,16 +215,6 @@ def plant_of_car(model: str, vehicle: Vehicle, tyre: Tyre | str | None) -> UserP
                 f"{number[1]} has {getattr(theirs, name)!r}: give the controller, not the plant, another car."
             )
     return commonroad_plant(model, int(number[1]), vehicle)
-
-
-def drift_of_car(vehicle: Vehicle, tyre: Tyre | str | None = None) -> UserPlant:
-    """`plant_of_car` for the single-track drift model."""
-    return plant_of_car(MODELS[0], vehicle, tyre)
-
-
-def mb_of_car(vehicle: Vehicle, tyre: Tyre | str | None = None) -> UserPlant:
-    """`plant_of_car` for the multi-body model."""
-    return plant_of_car(MODELS[1], vehicle, tyre)
 
 
 # -- parameters -------------------------------------------------------------------------------------------------------
@@ -250,9 +247,7 @@ def _package(module: str) -> Any:
     try:
         return importlib.import_module(f"{PACKAGE}.{module}")
     except ModuleNotFoundError:
-        raise MissingExtra(
-            f"CommonRoad's cars need {DISTRIBUTION}: python -m pip install 'adaptrack[plants]'"
-        ) from None
+        raise MissingExtra(f"CommonRoad's cars need {DISTRIBUTION}: python -m pip install {DISTRIBUTION}") from None
 
 
 def _selected(wanted: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -349,3 +344,7 @@ def _upright(states: tuple[str, ...], names: tuple[str, ...]) -> Array:
     rows = [[name] for name in names if name in states]
     rows += [[name for name in states if name.startswith(f"wheel_speed_{axle}")] for axle in ("front", "rear")]
     return np.array([[float(name in row) for name in states] for row in rows])
+
+
+for _model in MODELS:
+    register_plant(f"{PREFIX}{_model}", partial(plant_of_car, _model))

@@ -1,4 +1,6 @@
-"""Nonlinear MPC on the single track with its tyre's curve, a peer: CasADi (extra ``bench``) differentiates and solves.
+"""Nonlinear MPC on the single track with its tyre's curve: `--plugin nmpc --controller nmpc`, or `nmpc-as-measured`.
+
+CasADi differentiates and solves: pip install casadi.
 
 The model in path coordinates, x = [v_y, r, psi, e, delta]; delta is left out without lag, u standing for it:
 
@@ -28,12 +30,13 @@ from adaptrack.control.controllers.base import Array, Command, Controller
 from adaptrack.control.controllers.informed import HORIZON, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
+from adaptrack.control.controllers.registry import register_controller
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.public import path_model
-from adaptrack.peers.known_car import KnownCar
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile
+from known_car import KnownCar
 
 SLOWEST, STANDING = 2.0, 0.1
 """m/s: the model is never formed below the first; a slower car than the second stands."""
@@ -49,9 +52,7 @@ def _casadi() -> Any:
     try:
         return importlib.import_module("casadi")
     except ImportError as error:
-        raise MissingExtra(
-            "The controller 'nmpc' needs the package 'casadi': pip install 'adaptrack[bench]'"
-        ) from error
+        raise MissingExtra("The controller 'nmpc' needs CasADi: python -m pip install casadi") from error
 
 
 class Ahead(NamedTuple):
@@ -446,3 +447,7 @@ def _in_path(yaw: float, y: float, driven: float, there: Any) -> tuple[float, fl
     dx, dy = float(there.x[1]) - x0, float(there.y[1]) - y0
     ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
     return yaw - turned, (y - aside) * math.cos(turned) - (driven - ahead) * math.sin(turned)
+
+
+register_controller("nmpc", NMPC, words="NMPC on the tyre's curve, with our estimator")
+register_controller("nmpc-as-measured", as_measured, words="the same without an estimator")

@@ -27,13 +27,11 @@ import math
 
 from adaptrack.core.public import (
     COMMON,
-    LAW_SIGNATURE,
     SLOWEST,
     all_finite,
     clip,
     cos,
     exp,
-    exported,
     fast_arctangent,
     fast_arctangent_of_ratio,
     fast_cosine,
@@ -342,7 +340,6 @@ def _improve(t, p, at, memory):
     return total * total / squares, best
 
 
-@exported(LAW_SIGNATURE)
 def mppi(situation, reference, road, tuning, parameters, memory, answer):
     """u = u(k-1) + U_0: the plan of the last step, a period on, moved to the weighted mean of samples around it."""
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)

@@ -7,19 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
+import mppi
+import mppi_kernel as kernel
+from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
 from adaptrack.control.controllers import check_controller, get_controller
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.drive.simulate import rollout, simulate
-from adaptrack.peers.kernels import mppi as kernel
-from adaptrack.peers.mppi import MPPI
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, load_scenario
 from inlined import entry
+from mppi import MPPI
 
-pytestmark = pytest.mark.kernels
+pytestmark = pytest.mark.slow
 
 CAR = load_vehicle("paper")
 LANE_CHANGE = load_scenario("lane-change", amplitude=2.0, speed=10.0, friction=0.9, duration=3.0)
@@ -41,7 +42,6 @@ def driven(controller: MPPI, state: kernel.State, commands: list[float], speed: 
 
 
 # -- the model --------------------------------------------------------------------------------------------------------
-@pytest.mark.compiled
 @pytest.mark.parametrize("tyre", ["magic-formula", "constant-stiffness"])
 def test_the_model_is_the_single_track_on_its_tyre(tyre):
     """Against the plant's right-hand side in steps of 0.1 ms; on the linear tyre halving a step quarters the error."""
@@ -75,7 +75,6 @@ def test_the_wheels_follow_as_a_first_order_lag_within_its_rate():
     np.testing.assert_allclose(far, 0.5 * 0.05 * np.arange(1, 5), rtol=1e-12)
 
 
-@pytest.mark.compiled
 def test_at_walking_pace_the_model_stays_stable():
     controller = MPPI(CAR, profile="paper", period=0.1, **SMALL)
     last = driven(controller, kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), [0.1] * 200, 1.0)[-1]
@@ -83,7 +82,6 @@ def test_at_walking_pace_the_model_stays_stable():
 
 
 # -- the plan ---------------------------------------------------------------------------------------------------------
-@pytest.mark.compiled
 def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     """Where the cost is S = c + g'e + e'He/2 and e ~ N(0, s^2 I), exp(-S/lambda) has the mean -(I/s^2 + H/l)^-1 g/l."""
     speed, state, spread, temperature = 12.0, [0.0, 0.0, 0.0, 0.02], 0.05, 1e-5
@@ -110,7 +108,6 @@ def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     assert found.angle == pytest.approx(mean[0], abs=5.0 * noise)
 
 
-@pytest.mark.compiled
 def test_commands_on_their_way_are_driven_through_by_the_model():
     """Two periods late is where a car without dead time is two periods on."""
     late = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.2), preview=True, **SMALL)
@@ -124,14 +121,12 @@ def test_commands_on_their_way_are_driven_through_by_the_model():
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------
-@pytest.mark.compiled
 @pytest.mark.parametrize("profile", ["paper", "road", "production"])
 @pytest.mark.parametrize("car", ["paper", "van"])
 def test_it_keeps_the_contract_of_controllers(car, profile):
     check_controller(MPPI(load_vehicle(car), profile=profile, rounds=2, **SMALL))
 
 
-@pytest.mark.compiled
 def test_it_drives_alike_from_python_and_compiled_and_the_same_with_the_same_seed():
     runs = [
         simulate(DualTrack(CAR), MPPI(CAR, profile="road", seed=seed), LANE_CHANGE, profile="road") for seed in (5, 6)
@@ -142,7 +137,6 @@ def test_it_drives_alike_from_python_and_compiled_and_the_same_with_the_same_see
     assert not np.array_equal(runs[0].command, runs[1].command)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("profile", ["paper", "road"])
 def test_it_follows_a_hairpin(profile):
     controller = MPPI(CAR, profile=profile, period=0.05, preview=True)
@@ -173,3 +167,10 @@ def test_it_believes_the_steering_of_the_profile():
     assert told.car.belief.delay == pytest.approx(0.1)
     assert told.car.belief.lag.value == 0.2
     assert SteeringActuator.ideal().lag == MPPI(CAR, profile="paper", **SMALL).car.belief.lag.value
+
+
+def test_without_numba_the_remedy_is_named(monkeypatch):
+    mppi._compiled_law.cache_clear()
+    monkeypatch.setattr(mppi, "compiles", lambda: False)
+    with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
+        MPPI(CAR)

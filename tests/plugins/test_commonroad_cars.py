@@ -1,4 +1,4 @@
-"""CommonRoad's cars drive as their own functions say; skipped without the extra `plants`."""
+"""CommonRoad's cars drive as their own functions say; skipped without commonroad-vehicle-models."""
 
 import dataclasses
 import math
@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+import commonroad_cars
+import commonroad_kernel as kernel
+from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.errors import ConfigError, ContractError, InvalidInput, MissingExtra, UnknownName
-from adaptrack.peers.commonroad_plants import (
-    CARS,
-    MODELS,
-    commonroad_parameters,
-    commonroad_plant,
-    commonroad_vehicle,
-)
-from adaptrack.peers.kernels import commonroad as kernel
+from adaptrack.cars.plant import twin_of
+from commonroad_cars import CARS, MODELS, commonroad_parameters, commonroad_plant, commonroad_vehicle
 
+pytestmark = pytest.mark.slow
 DRIFT, BODY = MODELS
 STILL = [0.0, 0.0, 0.0]  # wind, bank
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _installed():
-    pytest.importorskip("vehiclemodels", reason="needs commonroad-vehicle-models: pip install 'adaptrack[plants]'")
+    pytest.importorskip(
+        "vehiclemodels", reason="needs commonroad-vehicle-models: pip install commonroad-vehicle-models"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,6 @@ def advanced(plant, x, u, seconds):
     return x
 
 
-@pytest.mark.compiled
 def test_under_a_prescribed_acceleration_wheels_roll_along_and_the_body_pitches(body):
     start = body.initial_state([0.0, 0.0, 0.0, 20.0, 0.0, 0.0])
     pitch = body.state_names.index("pitch")
@@ -166,7 +165,6 @@ def test_under_a_prescribed_acceleration_wheels_roll_along_and_the_body_pitches(
     assert braking == pytest.approx(-driving, rel=0.2)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("number", CARS)
 def test_the_data_sheet_has_the_yaw_gain_of_the_drift_model(number):
     plant, car = commonroad_plant(DRIFT, number), commonroad_vehicle(number)
@@ -175,14 +173,12 @@ def test_the_data_sheet_has_the_yaw_gain_of_the_drift_model(number):
     assert (left - right) / 0.01 == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.02)
 
 
-@pytest.mark.compiled
 def test_the_models_pass_the_checker_which_names_the_option_for_their_lopsided_tyres(plant):
     at.check_plant(plant, symmetric=False, period=0.05)
     with pytest.raises(ContractError, match=r"go straight.*symmetric=False"):
         at.check_plant(plant, period=0.05)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("profile", ["road", "production"])
 def test_the_default_controller_drives_it_from_its_data_sheet(plant, profile):
     drives = [at.random_drive(31_000_000 + i, duration=20.0) for i in range(4)]
@@ -259,12 +255,13 @@ def test_get_plant_refuses_another_car_another_body_and_a_tyre():
         at.get_plant(name, commonroad_vehicle(1), "passenger-car")
 
 
-def test_without_the_package_the_remedy_is_named(monkeypatch):
-    from adaptrack.peers import commonroad_plants
-
+def test_without_their_package_or_numba_the_remedy_is_named(monkeypatch):
+    monkeypatch.setattr(commonroad_cars, "compiles", lambda: False)
+    with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
+        commonroad_plant(DRIFT, 1)
     monkeypatch.setitem(sys.modules, "vehiclemodels.vehicle_parameters", None)
-    commonroad_plants._shipped.cache_clear()
-    with pytest.raises(MissingExtra, match=r"adaptrack\[plants\]"):
+    commonroad_cars._shipped.cache_clear()
+    with pytest.raises(MissingExtra, match="pip install commonroad-vehicle-models"):
         commonroad_vehicle(1)
 
 
@@ -286,3 +283,9 @@ def test_the_drift_model_is_linearised_and_the_multi_body_model_whose_tyres_jump
     assert np.linalg.eigvals(a).real.max() < 1e-6
     with pytest.raises(InvalidInput, match=r"derivatives jump with .*single-track"):
         linearised(body, 15.0)
+
+
+def test_what_is_sought_for_a_car_is_driven_on_the_drift_model_and_not_on_the_multi_body_model(drift, body):
+    car = commonroad_vehicle(2)
+    assert linear_twin(drift, car, car.domain) is drift
+    assert linear_twin(body, car, car.domain) == twin_of(car)  # its derivatives jump

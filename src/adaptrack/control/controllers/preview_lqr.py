@@ -18,7 +18,7 @@ from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
-from adaptrack.peers.kernels import preview_lqr as kernel
+from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.scenario.profile import Profile
 
 PREVIEW = 3.0
@@ -30,7 +30,7 @@ class PreviewLQR(CompiledController):
 
     Where `LQR` adds the steering of the steady turn, this one knows how the car gets there: gains on every coming
     change of the curvature follow from the same Riccati equation as those on the state, which is rolled through the
-    commands on their way. Equations and sources: `peers.kernels.preview_lqr`. On a bend that goes on it steers
+    commands on their way. Equations and sources: `core.controllers.preview_lqr`. On a bend that goes on it steers
     the steady turn of the linear car.
 
     q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
@@ -128,7 +128,7 @@ def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:
 
 
 def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: ArrayLike, count: int) -> Array:
-    """(..., n + count): -K, then g_0, g_1, ..., see `peers.kernels.preview_lqr`, with r = 1.
+    """(..., n + count): -K, then g_0, g_1, ..., see `core.controllers.preview_lqr`, with r = 1.
 
     A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
     for every model.

@@ -1,1 +1,0 @@
-"""Cars and plants of others, behind the public contracts."""
