@@ -1,12 +1,12 @@
 """What a car of any kind costs and gets: `tune`, or with --adapt the whole chain `adaptrack adapt CAR --quick`.
 
-    python benchmarks/tuned_cars.py [--vehicle van commonroad-1 ...] [--plant NAME] [--profile road production]
+    python benchmarks/tuned_cars.py [--vehicle van sports-car ...] [--plant NAME] [--profile road production]
                                     [--adapt FOLDER] [--json]
 
 Time by the clock, and CPU seconds: half of them is the time on two free cores of what runs in parallel. `tune`: J as in
 docs/driving.md, geometric mean over 48 random drives in each car's domain that the search did not see. `adapt`: a
 process of its own for each car, from its start to its end, and whether it passed (exit code 0, not 3) and wrote its
-page. CommonRoad's cars need the extra `plants`.
+page.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ def test_locks_pin_and_hash_every_declared_package(project):
 
     configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     optional = configuration["optional-dependencies"]
-    extra = [each for name in ("bench", "commonroad", "fmu", "gym", "link", "plants") for each in optional.pop(name)]
+    extra = [each for name in ("bench", "commonroad", "fmu", "gym", "link") for each in optional.pop(name)]
     declared = itertools.chain(configuration["dependencies"], *optional.values())
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in declared} - {"adaptrack"} <= first.keys()
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in extra} - {"adaptrack"} <= extras.keys()
