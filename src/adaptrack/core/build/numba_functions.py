@@ -82,8 +82,17 @@ def _parsed(module: Any, kernel: Any) -> Any:
 def _with_callees(module: Any) -> Any:
     """Add to a module the bodies of the exported kernels that it calls, and of those that these call."""
     while called := [EXPORTED[name] for name in _declared_kernels(module) if name in EXPORTED]:
-        module.link_in(_linked(compiled(kernel).library for kernel in called))
+        callees = _linked(compiled(kernel).library for kernel in called)
+        _make_internal(callees, BODY)  # they may hold the same inlined kernels as the module
+        module.link_in(callees)
     return module
+
+
+def _make_internal(module: Any, *beginnings: str) -> None:
+    """Make the functions of a module internal, except those whose names have one of these beginnings."""
+    for function in module.functions:
+        if not (function.is_declaration or function.name.startswith(beginnings)):
+            function.linkage = "internal"
 
 
 def _declared_kernels(module: Any) -> list[str]:
@@ -118,9 +127,7 @@ def module_of(kernels: Iterable[Any]) -> Any:
             c_functions.link_in(_parsed(c_module(kernel, f"adaptrack_{kernel.name}"), kernel))
         module = _linked(compiled(kernel).library for kernel in kernels)
     module.link_in(c_functions)
-    for function in module.functions:
-        if not (function.is_declaration or function.name.startswith((BODY, "adaptrack_"))):
-            function.linkage = "internal"
+    _make_internal(module, BODY, "adaptrack_")
     return module
 
 
@@ -261,9 +268,7 @@ def compiled_now(kernel: Any) -> int:
     """Compile an exported kernel, and those that it calls, in this process; return the address of its C function."""
     name = f"adaptrack_{kernel.name}"
     module = _with_callees(module_of([kernel]))
-    for function in module.functions:
-        if not function.is_declaration and function.name != name:
-            function.linkage = "internal"
+    _make_internal(module, name)
     with global_compiler_lock:
         library = _codegen().create_library(f"{name}_{len(_alive)}")
         library.add_llvm_module(module)
