@@ -140,14 +140,20 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     Parameters
     ----------
     points : (n, 2) array
-        x, y in m, no two alike in a row; a lap ends before its start.
+        x, y in m; a lap ends at or before its start. Points in a row count as one, the first, if their distance is at
+        most a tenth of the step on either side and 0.2 m: such a step would turn the road by the error of its points.
     closed, name, **along
         As in `Road.from_segments`.
+
+    Returns
+    -------
+    Road
+        `notes` name the points that were left out because they count as one with another.
 
     Raises
     ------
     InvalidInput
-        When points are too few, not finite, alike in a row, or fold back on themselves.
+        When points are too few, not finite, or fold back on themselves.
     """
     points = _checked("road_through", points, path.SHORTEST)
     size = path.path_words(points, closed)
@@ -161,11 +167,30 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         raise InvalidInput(f"road_through: {_FLAWS[status].format(found, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
-    return Road(name=name, table=table, closed=closed, **alongs(along))
+    return Road(name=name, table=table, closed=closed, notes=_left_out_beside(points, closed), **alongs(along))
+
+
+def _left_out_beside(points: Array, closed: bool) -> tuple[str, ...]:
+    """A note of the points that a path leaves out, with the distance to the nearest one that it goes through."""
+    rows = np.empty(len(points))
+    rows = rows[: path.points_apart(points, closed, rows)].astype(np.int64)
+    if rows.size == len(points):
+        return ()
+    out = np.setdiff1d(np.arange(len(points)), rows)
+    behind = np.searchsorted(rows, out)
+    beside = np.stack([rows[behind - 1], rows[behind % rows.size]])
+    distances = np.hypot(*np.moveaxis(points[out] - points[beside], -1, 0))
+    nearest = distances.argmin(axis=0)
+    named = [
+        f"point {row} ({distances[side, k]:.3g} m from point {beside[side, k]})"
+        for k, (row, side) in enumerate(zip(out[:MOST_NAMED], nearest[:MOST_NAMED], strict=True))
+    ]
+    more = [f"{out.size - MOST_NAMED} more"] if out.size > MOST_NAMED else []
+    return (f"{out.size} of {len(points)} points left out as repeated: {', '.join(named + more)}",)
 
 
 _FLAWS = {
-    path.TWICE: "point {} comes twice; leave one out.",
+    path.TOO_FEW: "{} points lie apart from each other: at least 4 are needed.",
     path.TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
     path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
     path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",
