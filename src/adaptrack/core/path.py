@@ -7,8 +7,8 @@ arc length. The speed |dc/dz| over a range of the parameter z is interpolated at
 arc lengths of the nodes of a piece are found by Newton's method, and position and heading are interpolated there. A
 piece that misses the cubic by more than `FIT` between its nodes, or turns by more than 1 rad, is halved.
 
-A short step magnifies the error of its two points: an error e across a step h beside steps of 1 m turns the curve by e/h.
-So points that are much nearer to each other than to the points around them count as one (`points_apart`).
+A short step magnifies the error of its points: an error e across a step h turns the curve by e/h over the long steps
+around it. So points that are much nearer to each other than to the points around them count as one (`points_apart`).
 
 The memory then holds a road alone as `core.road.Roads` has it: its numbers, pieces, where they begin, and headings.
 """
