@@ -122,22 +122,22 @@ def test_a_path_is_read_as_it_was_written(tmp_path):
 SINE = np.stack([np.arange(60.0), 5.0 * np.sin(np.arange(60.0) / 30.0)], axis=-1)
 
 
-def beside(row, *offsets):
+def sine_with(row, *offsets):
     """The points of a sine with others behind one of them, at offsets (m) from it."""
     return np.insert(SINE, row + 1, SINE[row] + np.array(offsets), axis=0)
 
 
 @pytest.mark.parametrize(
-    ("points", "left_out"),
+    ("points", "repetitions"),
     [
-        (beside(20, (-1e-4, 1e-3)), [21]),  # a planner's stop point
-        (beside(20, (0.0, 0.0), (0.05, -0.03), (0.0, 0.0)), [21, 22, 23]),  # a stop point at a seam, repeated
+        (sine_with(20, (-1e-4, 1e-3)), [21]),  # a planner's stop point
+        (sine_with(20, (0.0, 0.0), (0.05, -0.03), (0.0, 0.0)), [21, 22, 23]),  # a stop point at a seam, repeated
         (np.concatenate([SINE[:1] - 0.003, SINE]), [1]),
         (np.concatenate([SINE, SINE[-1:] + 0.003]), [59]),
         (np.repeat(SINE, 2, axis=0), [*range(1, 119, 2), 118]),
     ],
 )
-def test_a_point_nearer_to_another_than_its_error_is_left_out_and_named(points, left_out):
+def test_a_point_nearer_to_another_than_its_error_is_repetitions_and_named(points, repetitions):
     """The road stays within the error of its points, without the loop that turns by it."""
     road, smooth = road_through(points), road_through(SINE)
     foot = smooth.project(*road.at(np.linspace(0.0, road.length, 2000))[:2])
@@ -145,10 +145,10 @@ def test_a_point_nearer_to_another_than_its_error_is_left_out_and_named(points, 
     assert np.abs(road.at(np.linspace(0.0, road.length, 5000)).curvature).max() < 0.012  # 0.16 m is 6.2/m
     rows = np.empty(len(points))
     count = path.points_apart(points, False, rows)
-    assert sorted(set(range(len(points))) - set(rows[:count].astype(int))) == sorted(left_out)
+    assert sorted(set(range(len(points))) - set(rows[:count].astype(int))) == sorted(repetitions)
     (note,) = road.notes
-    assert note.startswith(f"{len(left_out)} of {len(points)} points left out")
-    assert f"point {left_out[0]} (" in note
+    assert note.startswith(f"{len(repetitions)} of {len(points)} points left out")
+    assert f"point {repetitions[0]} (" in note
 
 
 @pytest.mark.parametrize("error", [(0.0, 0.0), (0.003, -0.002), (-0.002, 0.004)])
@@ -174,7 +174,7 @@ def test_points_that_are_denser_in_a_bend_stay():
 
 def test_the_heading_does_not_jump_where_a_stop_point_lies_beside_a_point():
     """The heading to follow: in the loop it turned by more than 1 rad."""
-    road, smooth = road_through(beside(20, (-1e-4, 1e-3))), road_through(SINE)
+    road, smooth = road_through(sine_with(20, (-1e-4, 1e-3))), road_through(SINE)
     s = np.linspace(0.0, min(road.length, smooth.length), 3000)
     assert np.abs(road.at(s).heading - smooth.at(s).heading).max() < 1e-5
 

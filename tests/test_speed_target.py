@@ -17,14 +17,14 @@ LAP = Road.from_segments([Arc(length=200.0, curvature=2.0 * math.pi / 200.0)], c
 PERIOD = 0.05
 
 
-def driven(target, seconds, lag=0.3, place=0.0, speed=0.0, replan=None):
+def drive(target, seconds, lag=0.3, place=0.0, speed=0.0, replan=None):
     """Rows of time, place and speed of a car whose speed follows the target with a lag (s)."""
     rows = []
     for k in range(round(seconds / PERIOD)):
         if replan is not None and k % 2 == 0:
             target.follow(replan)
-        wanted = target.at(k * PERIOD, place, speed, PERIOD)
-        speed = max(speed + (wanted - speed) * PERIOD / lag, 0.0) if wanted > 0.0 or speed > 0.05 else 0.0
+        goal = target.at(k * PERIOD, place, speed, PERIOD)
+        speed = max(speed + (goal - speed) * PERIOD / lag, 0.0) if goal > 0.0 or speed > 0.05 else 0.0
         place += speed * PERIOD
         rows.append((k * PERIOD, place, speed))
     return np.array(rows)
@@ -40,27 +40,27 @@ def stands(rows):
 @pytest.mark.parametrize("lag", [0.05, 0.3])
 def test_a_car_stands_at_every_stop_for_its_time_and_drives_on(lag):
     plan = plan_speed(STRAIGHT, CAR, start=0.0, end=0.0, stops=[Stop(60.0, 3.0), 60.1, Stop(120.0, 1.0)])
-    *halts, end = stands(driven(SpeedTarget(plan), 60.0, lag))
+    *halts, last = stands(drive(SpeedTarget(plan), 60.0, lag))
     assert [place for place, _ in halts] == pytest.approx([60.0, 120.0], abs=0.5)
     assert [time for _, time in halts] == pytest.approx([3.0, 1.0], abs=0.6)
-    assert end[0] == pytest.approx(200.0, abs=0.5)
+    assert last[0] == pytest.approx(200.0, abs=0.5)
 
 
 def test_a_lap_has_its_stops_on_every_lap():
     plan = plan_speed(LAP, CAR, stops=[Stop(0.0, 1.0), Stop(150.0, 2.0)])
-    halts = stands(driven(SpeedTarget(plan), 120.0, place=10.0, speed=5.0))
+    halts = stands(drive(SpeedTarget(plan), 120.0, place=10.0, speed=5.0))
     assert [place for place, _ in halts][:4] == pytest.approx([150.0, 200.0, 350.0, 400.0], abs=0.6)
 
 
 def test_a_plan_that_is_followed_again_keeps_its_stop_although_the_car_is_beyond_it():
     """A planner that says the same ten times a second; the car overshoots the stop by its lag."""
     plan = plan_speed(STRAIGHT, CAR, start=0.0, stops=[Stop(60.0, 1e9)])
-    rows = driven(SpeedTarget(plan), 60.0, lag=0.3, replan=plan)
+    rows = drive(SpeedTarget(plan), 60.0, lag=0.3, replan=plan)
     assert 59.5 < rows[-1, 1] < 60.9
-    free = plan_speed(STRAIGHT, CAR, start=0.0)
+    plan_without = plan_speed(STRAIGHT, CAR, start=0.0)
     target = SpeedTarget(plan)
     assert target.at(0.0, 59.95, 0.0, PERIOD) == 0.0
-    target.follow(free)
+    target.follow(plan_without)
     assert target.at(0.1, 60.05, 0.0, PERIOD) > 0.0
 
 

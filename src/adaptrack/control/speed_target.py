@@ -16,7 +16,7 @@ AT_STOP = 0.25
 """m, of a standing car from a stop that counts as reached; and how far ahead of a stop a car looks that leaves it."""
 OVERSHOT = 3.0
 """m, of a car that is stopping already from the stop of another plan that counts as the same stop."""
-JUMP = 20.0
+RELOCATION = 20.0
 """m, beyond the last and the next stop, from which on the car has been moved rather than driven."""
 
 
@@ -35,7 +35,7 @@ class SpeedTarget:
         """m/s, planned one period (s) ahead of the car's arc length (m), at its speed (m/s); NaN: no place to go by."""
         if not math.isfinite(station):
             return math.nan
-        if not self._left - JUMP < station < self._next.s + JUMP:
+        if not self._left - RELOCATION < station < self._next.s + RELOCATION:
             self._begin(station)
         place = station + max(speed, 0.0) * period
         stands = speed < STANDING and station >= self._next.s - AT_STOP

@@ -280,7 +280,7 @@ class Tracker:
             self._recorder.add(taken, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset)
         return tracked
 
-    def _answer(self, now: float) -> Tracked:
+    def _answer(self, time: float) -> Tracked:
         """What a call gives."""
         command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
@@ -288,7 +288,7 @@ class Tracker:
         state = None if belief == UNKNOWN else BeliefState(int(belief))
         speed, target = float(self._kernel.memory[0].speed), math.nan
         if self._target is not None:
-            target = self._target.at(now, station, speed, self.period)
+            target = self._target.at(time, station, speed, self.period)
         suspects = self._check.suspect
         return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, suspects, target)
 

@@ -167,26 +167,27 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         raise InvalidInput(f"road_through: {_FLAWS[status].format(found, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
-    return Road(name=name, table=table, closed=closed, notes=_left_out_beside(points, closed), **alongs(along))
+    return Road(name=name, table=table, closed=closed, notes=_repetition_notes(points, closed), **alongs(along))
 
 
-def _left_out_beside(points: Array, closed: bool) -> tuple[str, ...]:
-    """A note of the points that a path leaves out, with the distance to the nearest one that it goes through."""
+def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
+    """A note on the points that a path leaves out, with the distance to the nearest one that it goes through."""
     rows = np.empty(len(points))
     rows = rows[: path.points_apart(points, closed, rows)].astype(np.int64)
-    if rows.size == len(points):
+    repetitions = np.setdiff1d(np.arange(len(points)), rows)
+    if repetitions.size == 0:
         return ()
-    out = np.setdiff1d(np.arange(len(points)), rows)
-    behind = np.searchsorted(rows, out)
-    beside = np.stack([rows[behind - 1], rows[behind % rows.size]])
-    distances = np.hypot(*np.moveaxis(points[out] - points[beside], -1, 0))
-    nearest = distances.argmin(axis=0)
-    named = [
-        f"point {row} ({distances[side, k]:.3g} m from point {beside[side, k]})"
-        for k, (row, side) in enumerate(zip(out[:MOST_NAMED], nearest[:MOST_NAMED], strict=True))
+    after = np.searchsorted(rows, repetitions)
+    sides = np.stack([rows[after - 1], rows[after % rows.size]])
+    distances = np.hypot(*np.moveaxis(points[repetitions] - points[sides], -1, 0))
+    nearest = np.take_along_axis(sides, distances.argmin(axis=0)[np.newaxis], axis=0)[0]
+    texts = [
+        f"point {row} ({distance:.3g} m from point {neighbour})"
+        for row, neighbour, distance in zip(repetitions, nearest, distances.min(axis=0), strict=True)
     ]
-    more = [f"{out.size - MOST_NAMED} more"] if out.size > MOST_NAMED else []
-    return (f"{out.size} of {len(points)} points left out as repeated: {', '.join(named + more)}",)
+    if len(texts) > MOST_NAMED:
+        texts = [*texts[:MOST_NAMED], f"{len(texts) - MOST_NAMED} more"]
+    return (f"{repetitions.size} of {len(points)} points left out as repeated: {', '.join(texts)}",)
 
 
 _FLAWS = {

@@ -131,15 +131,14 @@ class SpeedPlan:
 
     @property
     def stops(self) -> list[Stop]:
-        """Where the plan stands, and for how long, but for the end of an open road."""
+        """Where the plan stands, and for how long; without the ends of an open road at which it just begins or ends."""
         stands = np.flatnonzero(self.speed[:-1] == 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             moving = np.diff(self.s) / (0.5 * (self.speed[1:] + self.speed[:-1]))
-            seconds = (np.diff(self.time) - moving)[stands]
-        return [
-            Stop(s, math.inf if math.isnan(t) else max(round(t, 9), 0.0))
-            for s, t in zip(self.s[stands].tolist(), seconds.tolist(), strict=True)
-        ]
+            seconds = np.maximum(np.round(np.diff(self.time) - moving, 9), 0.0)[stands]
+        seconds[np.isnan(seconds)] = math.inf
+        stops = map(Stop, self.s[stands].tolist(), seconds.tolist())
+        return [stop for stop in stops if self.closed or stop.s > 0.0 or stop.seconds > 0.0]
 
     @property
     def acceleration(self) -> Array:

@@ -126,7 +126,7 @@ std::string Follower::why_not(Planned &planned, const std::vector<double> &point
         error = adaptrack_path(points.data(), count, 0, planned.road.data(), 8 * planned.road.size(), &flaw);
     }
     if (error != ADAPTRACK_OK)
-        return text_of("point %zu: at least four points, finite, none twice in a row, no kink", flaw);
+        return text_of("point %zu: at least four points apart from each other, finite, no kink", flaw);
     planned.s.assign(1, 0.0);
     for (std::size_t k = 1; k < count; k++) { // ascending, also where a point comes twice
         const double s = planned.s.back();
