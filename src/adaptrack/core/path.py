@@ -454,11 +454,11 @@ def line_numbers(start, pieces, closed, numbers):
 
 
 @inlined
-def _write_apart(points, rows, apart):
-    """Write the points (n, 2) of some numbers, and these numbers, to the rows of `apart`."""
-    for k in range(len(apart)):
+def _write_points(points, rows, path_points):
+    """Write the points (n, 2) of some numbers, and these numbers, to the rows of `path_points`."""
+    for k in range(len(path_points)):
         row = whole(rows[k])
-        apart[k, 0], apart[k, 1], apart[k, 2] = points[row, 0], points[row, 1], rows[k]
+        path_points[k, 0], path_points[k, 1], path_points[k, 2] = points[row, 0], points[row, 1], rows[k]
 
 
 @exported(several(int64, int64)(matrix, boolean, vector))
@@ -477,25 +477,25 @@ def path_through(points, closed, memory):
     if status != OK:
         return status, flaw
     lengths, x, y = memory[scratch:], memory[scratch + count :], memory[scratch + 2 * count :]
-    upper, border, rest = memory[scratch + 3 * count :], memory[scratch + 4 * count :], memory[scratch + 5 * count :]
+    upper, border, copies = memory[scratch + 3 * count :], memory[scratch + 4 * count :], memory[scratch + 5 * count :]
     count = points_apart(points, closed, lengths)
-    apart = shaped(rest[: 3 * count], count, 3)
-    _write_apart(points, lengths, apart)
-    status, flaw = _write_steps(apart, closed, lengths)
+    path_points = shaped(copies[: 3 * count], count, 3)
+    _write_points(points, lengths, path_points)
+    status, flaw = _write_steps(path_points, closed, lengths)
     if status != OK:
         return status, flaw
-    _write_slopes(apart, closed, lengths, upper, x, y, border)
+    _write_slopes(path_points, closed, lengths, upper, x, y, border)
     pieces = shaped(memory[len(NUMBERS) : len(NUMBERS) + COLUMNS * room], room, COLUMNS)
     made = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
-        dx, dy = _step(apart, k)
+        dx, dy = _step(path_points, k)
         first = made
         status, made = _write_step(dx, dy, h * x[k], h * y[k], h * x[after], h * y[after], pieces, first)
         if status != OK:
-            return status, whole(apart[k, 2])
+            return status, whole(path_points[k, 2])
         for row in range(first, made):
-            pieces[row, X], pieces[row, Y] = apart[k, 0] + pieces[row, X], apart[k, 1] + pieces[row, Y]
+            pieces[row, X], pieces[row, Y] = path_points[k, 0] + pieces[row, X], path_points[k, 1] + pieces[row, Y]
     if closed and _kinked(_jump(pieces[made - 1], pieces[0])):
         return KINK, 0
     start = memory[len(NUMBERS) + COLUMNS * made :]

@@ -191,6 +191,7 @@ const Command *Follower::tick(double now) {
         sample.t = now;
         sample.speed = why.empty() ? speed_ : braking_speed(now);
     }
+    sample_speed_ = sample.speed;
     adaptrack_answer answer{};
     error_ = adaptrack_step(tracker_.data(), &sample, &answer);
     if (error_ == ADAPTRACK_OK) {
@@ -244,14 +245,14 @@ void Follower::stop(std::string why) {
 // The speed that is planned where the car will be in one period, and 0 from a stop on until another path comes.
 double Follower::target_speed(double station) {
     const Planned &planned = paths_[followed_];
-    const double place = station + std::max(speed_, 0.0) * period;
+    const double place = station + std::max(sample_speed_, 0.0) * period;
     if (!std::isfinite(place)) return 0.0;
     if (!(left_ - jump < station && station < next_ + jump)) {
         left_ = station;
         next_ = planned.stop_beyond(station - (stopping_ ? overshot : 0.0));
         if (next_ > station + overshot) stopping_ = false;
     }
-    if (place >= next_ || (speed_ < standing && station >= next_ - at_stop)) {
+    if (place >= next_ || (sample_speed_ < standing && station >= next_ - at_stop)) {
         stopping_ = true;
         return 0.0;
     }

@@ -61,14 +61,14 @@ def plan_places(start, spacing, stops, places):
         stop = stops[k] if k < stops.size else math.inf
         place = min(even, min(shape, stop))
         stands = stop == place or count == 0 or place == length
-        apart = place - before > TOGETHER * spacing
-        if apart and stands and stood:
+        is_new = place - before > TOGETHER * spacing
+        if is_new and stands and stood:
             count = _append(0.5 * (before + place), count, places)
-        if apart:
+        if is_new:
             count = _append(place, count, places)
         elif stands and not stood:  # the stop takes the place of the one beside it
             count = _append(place, count - 1, places)
-        if apart or (stands and not stood):
+        if is_new or (stands and not stood):
             before, stood = place, stands
         i, j, k = i + (even == place), j + (shape == place), k + (stop == place)
     if count <= places.size:

@@ -96,6 +96,7 @@ class Follower {
     std::array<Planned, 2> paths_; // the one that is followed, and the next one
     std::size_t followed_ = 0;
     bool has_path_ = false, halted_ = false, engaged_ = true, stopping_ = false;
+    double sample_speed_ = 0.0;      // m/s, of the last call
     double left_ = 0.0, next_ = 0.0; // m, where it began to drive along the path, and its next stop; NaN: a new path
     std::vector<double> points_, speeds_;
     std::string path_frame_, odometry_frame_, path_trouble_, odometry_trouble_;
