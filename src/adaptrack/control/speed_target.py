@@ -1,8 +1,7 @@
 """The speed to drive at along a plan, with its stops, for a loop that regulates the speed itself.
 
-A plan is a speed at each arc length: near a stop it is that of a car which has just left, or is about to come to rest.
-So a loop that looks ahead misses the stop, and a car that stands there is told 0 for ever. A `SpeedTarget` remembers
-which stop is next, and since when the car has been standing.
+A plan is a speed at each arc length, and 0 at a stop alone. So a loop that looks ahead misses the stop, and a car that
+stands exactly there never leaves. A `SpeedTarget` remembers which stop is next, and since when the car stands.
 """
 
 from __future__ import annotations
