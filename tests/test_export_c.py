@@ -457,9 +457,9 @@ def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (-1e-4, 1e-3)])
 def test_a_point_nearer_to_another_than_its_error_is_left_out_as_in_python(library_of, offset):
     points = np.insert(POINTS, 8, POINTS[7] + np.array(offset), axis=0)
-    made = library_of("informed").path(points)
-    assert made.error == exported.OK
-    line, _ = line_in(made.raw[8:])  # behind the head of a path
+    exported_path = library_of("informed").path(points)
+    assert exported_path.error == exported.OK
+    line, _ = line_in(exported_path.raw[8:])  # behind the head of a path
     assert line.pieces.tobytes() == road_through(points).table.pieces.tobytes()
     assert line.pieces.tobytes() == road_through(POINTS).table.pieces.tobytes()
 
