@@ -24,6 +24,7 @@ from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
+from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF
 from adaptrack.core.kernel import Resident
@@ -84,6 +85,8 @@ class Tracked(NamedTuple):
     """how far what the controller learns can be trusted; None where nothing is learned"""
     suspect: tuple[str, ...] = ()
     """sentences on inputs that contradict each other, since the tracker engaged; see `control.input_check`"""
+    target_speed: float = math.nan
+    """m/s, planned one period ahead, and 0 at a stop until its time is over; NaN without a plan or a position"""
 
 
 DOUBTFUL = {
@@ -182,6 +185,7 @@ class Tracker:
         learned of its car stays; what was said of the inputs is forgotten.
         """
         self._check.forget()
+        self._target = None if self.plan is None else SpeedTarget(self.plan)
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
         self._obey()
 
@@ -214,6 +218,10 @@ class Tracker:
             When it is no path.
         """
         self._set_path(path, plan)
+        if plan is None or self._target is None:
+            self._target = None if plan is None else SpeedTarget(plan)
+        else:
+            self._target.follow(plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
         self._obey()
@@ -261,19 +269,23 @@ class Tracker:
             self._control()
             tracker_after(resident)
         self._obey()
-        tracked = self._answer()
+        tracked = self._answer(at)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
             taken, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(given)].tolist()
             self._recorder.add(taken, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset)
         return tracked
 
-    def _answer(self) -> Tracked:
+    def _answer(self, time: float) -> Tracked:
         """What a call gives."""
         command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == UNKNOWN else BeliefState(int(belief))
-        return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, self._check.suspect)
+        speed, target = float(self._kernel.memory[0].speed), math.nan
+        if self._target is not None:
+            target = self._target.at(time, station, speed, self.period)
+        suspects = self._check.suspect
+        return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, suspects, target)
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""

@@ -45,7 +45,7 @@ ANSWERS = {
     "car_flaw": {name: getattr(car, name) for name in ("ONE_CAR", "INERTIA_ODD", "FRONT_ODD", "REAR_ODD")},
     "overhangs": {name: getattr(plant, name) for name in ("HOLDS", "AXLE_OUTSIDE", "LENGTH_DISAGREES")},
     "path_through": {name: getattr(path, name) for name in (
-        "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TWICE", "TOO_SHORT", "KINK", "TOO_SMALL")},
+        "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TOO_SHORT", "KINK", "TOO_SMALL")},
 }  # fmt: skip
 """What these kernels answer, by name."""
 _BOUNDS = ("gt", "ge", "lt", "le")
@@ -80,7 +80,7 @@ def car_fields() -> dict[str, Any]:
             "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
             "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
             "fewest": path.FEWEST, "most": MOST_POINTS, "farthest": path.FARTHEST, "widest": path.WIDEST,
-            "same": path.SAME, "shortest": path.SHORTEST,
+            "shortest": path.SHORTEST,
         },
         "drive": DRIVE,
         "answers": ANSWERS,

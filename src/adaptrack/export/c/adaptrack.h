@@ -51,8 +51,10 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
    0 where they make none. */
 size_t adaptrack_path_size(const double *points, size_t count, int closed);
 /* Make a path through points without noise, in memory of the caller that is aligned to 8 bytes: a cubic spline, its
-   curvature continuous; a lap if `closed`. ADAPTRACK_TOO_SMALL, or ADAPTRACK_BAD_PATH for fewer than four points, one
-   that comes twice in a row, is not finite or makes a kink; `flaw`, unless null, is then the number of the point. */
+   curvature continuous; a lap if `closed`. Points in a row count as one, the first, if their distance is at most a
+   tenth of the step on either side and 0.2 m: such a step would turn the path by the error of its points.
+   ADAPTRACK_TOO_SMALL, or ADAPTRACK_BAD_PATH for fewer than four points, one that is not finite or makes a kink;
+   `flaw`, unless null, is then the number of the point. */
 adaptrack_error adaptrack_path(const double *points, size_t count, int closed, void *path, size_t path_size,
                                size_t *flaw);
 /* m */
