@@ -3,6 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 INSTALLED := .venv/.installed
+LOCKED_ONLY := --no-deps --only-binary :all: --require-hashes
 
 .DEFAULT_GOAL := help
 KERNELS := src/adaptrack/core/built/manifest.json
@@ -26,7 +27,11 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv || { \
 	  echo 'No ensurepip here: taking pip itself from the package index.'; \
 	  $(PYTHON) -m venv --clear --without-pip .venv && $(PYTHON) -m pip --python .venv install --quiet pip; }
-	$(PIP) install --no-deps --only-binary :all: --require-hashes -r requirements.lock
+	@mkdir -p build && sed -n '/^uv==/,/[^\\]$$/p' requirements.lock > build/uv.txt
+	$(PIP) install --no-deps --only-binary :all: --require-hashes -r build/uv.txt
+	$(BIN)/uv pip install --quiet --python $(BIN)/python $(LOCKED_ONLY) -r requirements.lock || { \
+	  echo 'uv does not reach the package index: pip, which may be set up otherwise, installs the packages.'; \
+	  $(PIP) install $(LOCKED_ONLY) -r requirements.lock; }
 	$(PIP) install --no-deps --no-build-isolation --editable .
 	@$(PIP) check
 	@touch $@

@@ -9,6 +9,7 @@ import os
 import re
 import sys
 import tempfile
+import types
 from collections.abc import Callable
 from pathlib import Path
 
@@ -178,7 +179,7 @@ def certificate(axes: Axes) -> None:
 
 def plant(axes: Axes) -> None:
     """A plant of one's own, from the page about extending, on a sine."""
-    page = snippet("../extending.md", "def right_hand_side")
+    page = snippet("../extending.md", "my_plants")
     run = page["run"]
     axes.plot(run.t, run.Y, color=BLUE, label="own plant")
     axes.plot(run.t, run.y_ref, "--", color=ORANGE, lw=1.2, label="reference")
@@ -205,7 +206,11 @@ def snippet(page: str, part: str = "") -> dict:
     text = (Path(__file__).resolve().parent / "gallery" / page).read_text()
     names: dict = {"__name__": "snippet"}
     for block in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
-        if part in block:
+        module = re.match(r"# (\w+)\.py$", block, re.MULTILINE)
+        if module and part in block:
+            made = sys.modules[module[1]] = types.ModuleType(module[1])
+            exec(block, vars(made))
+        elif part in block:
             exec(block, names)
     return names
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import decimal
+import enum
 import fractions
+import inspect
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import adaptrack as at
+from adaptrack.base import checked as checks
 from adaptrack.base.checked import real, reals, whole
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.road import Line, Road, fit_road, road_through
@@ -55,6 +59,47 @@ def test_what_is_no_array_of_numbers_is_refused_in_a_short_sentence() -> None:
             said = refusal(call, given)
             assert len(said) < 200, name
             assert "\n" not in said, name
+
+
+CALLS = {name: getattr(at, name) for name in at.__all__ if callable(getattr(at, name))}
+RESULTS = {"Identification", "Metrics", "PathMetrics", "RandomCar", "Shadow", "Solution", "TunedCar"}
+"""Records that only this package makes."""
+BY_HAND = {"CFunction", "Contender", "Road", "RoadAhead", "Schedule", "check_controller"}
+"""Calls that check their arguments themselves, or of which the core knows no errors of ours."""
+
+
+def named_classes(call: Any) -> dict[str, Any]:
+    """The arguments of a call whose annotations name classes, texts, paths or functions."""
+    target = inspect.unwrap(call.__init__ if isinstance(call, type) else call)
+    space = vars(sys.modules[call.__module__])
+    annotations = inspect.get_annotations(target, locals=checks._Names([space]), eval_str=True)
+    annotations.pop("return", None)
+    return {name: kind for name, kind in annotations.items() if checks._with_classes(kind) is not kind}
+
+
+@pytest.mark.parametrize("name", sorted(set(CALLS) - RESULTS - BY_HAND))
+def test_an_object_of_a_wrong_kind_is_refused_by_every_public_call(name: str) -> None:
+    call = CALLS[name]
+    if isinstance(call, type) and (call.__init__ is object.__init__ or issubclass(call, Exception | enum.Enum)):
+        return
+    for argument in named_classes(call):
+        with pytest.raises(at.AdaptrackError) as refused:
+            call(**{argument: object()})
+        assert argument in str(refused.value)
+
+
+def test_swapped_arguments_are_named_with_what_they_must_be() -> None:
+    run = at.simulate(at.SingleTrack(CAR), at.PurePursuit(CAR), at.load_scenario("step", duration=1.0))
+    assert "plan_speed: road = Vehicle(" in refusal(at.plan_speed, CAR, ROAD)
+    assert refusal(at.plan_speed, CAR, ROAD).endswith(": must be a Road.")
+    assert refusal(at.compute_metrics, ROAD).endswith("50 m>: must be a Trajectory.")
+    assert refusal(lambda: at.compute_metrics(run, failure=CAR)).endswith(": must be a Failure or None.")
+    assert refusal(at.check_road, CAR, ROAD).endswith(": must be a Road.")
+    assert refusal(at.Tracker, ROAD, at.MPC(CAR)).endswith(": must be a Controller; such as MPC(car).")
+    assert refusal(at.DualTrack, ROAD).endswith(": must be a Vehicle; load_vehicle(name) gives one.")
+    assert refusal(at.load_road, ROAD).endswith(": must be text or a path.")
+    assert refusal(lambda: at.tune(CAR, plant=ROAD)).endswith("must be a Plant or a SteppedPlant or text or None.")
+    assert refusal(at.register_plant, "mine", 3).endswith("must be a function or text.")
 
 
 def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence() -> None:

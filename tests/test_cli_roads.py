@@ -12,6 +12,7 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.app import app
+from adaptrack.control.controllers.learned import LearnedCar
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Comfort, load_road, plan_speed
@@ -116,7 +117,7 @@ def test_an_evaluation_drives_all_on_the_same_roads_and_leaves_out_what_does_not
         (["tune", "town", "--length", "200", "--controller", "nn"], "that of these can be sought: as-released"),
         (["tune", "town", "--length", "200", "--runs", "19"], "give at least 20"),
         (["evaluate", "town", "--length", "200", "--contender", "standrd"], "Did you mean 'standard'"),
-        (["evaluate", "town", "--length", "200", "--schedulers", "road-nn"], "published_mpc"),
+        (["evaluate", "town", "--length", "200", "--schedulers", "road-nn"], "adaptrack evaluate-schedules"),
         (["adapt", "town", "--out", "x"], "adaptrack tune town --out tuning.toml"),
     ],
 )
@@ -124,6 +125,13 @@ def test_what_has_no_meaning_is_refused_with_what_to_type(arguments, words):
     done = run(*arguments)
     assert isinstance(done.exception, InvalidInput), done.output
     assert words in str(done.exception)
+
+
+def test_what_was_learned_on_another_car_is_refused_with_the_key_to_change(tmp_path):
+    sigmas = dict.fromkeys(("lag_sigma", "dead_time_sigma", "delay_sigma", "stiffness_sigma"), 0.05)
+    LearnedCar(car="van", lag=0.1, dead_time=0.0, stiffness=1.0, **sigmas).to_toml(tmp_path / "learned.toml")
+    refusal = run("drive", "town", "--vehicle", "midsize-sedan", "--learned", tmp_path / "learned.toml")
+    assert "set car = '' (in its file" in str(refusal.exception)
 
 
 def test_a_tuning_is_refused_for_another_car_and_for_the_noise_that_it_was_found_with(tuned):

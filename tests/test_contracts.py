@@ -214,7 +214,7 @@ def test_a_stepped_plant_is_admitted_and_driven():
     assert run.failed is None
     assert np.abs(run.error).max() < 0.5
     assert np.allclose(run.vx, 10.0)
-    with pytest.raises(InvalidInput, match="compiled plant"):
+    with pytest.raises(InvalidInput, match="must be a Plant; simulate"):
         rollout(plant, published_mpc(CAR, period=0.05), LANE_CHANGE)
 
 

@@ -15,7 +15,7 @@ from scipy.linalg import solve_discrete_are
 
 from adaptrack import Controller
 from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.plant import DualTrack, register_plant
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import (
     LQR,
@@ -31,6 +31,7 @@ from adaptrack.control.controllers import (
     registry,
 )
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
+from adaptrack.control.models import register_model
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped
 from adaptrack.drive.simulate import simulate
@@ -38,7 +39,7 @@ from adaptrack.peers.kinematic_mpc import KinematicMPC
 from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.road import generate_road
 from adaptrack.road.ahead import straight
-from adaptrack.scenario import load_scenario
+from adaptrack.scenario import RoadDrive, load_scenario
 from inlined import entry
 
 pytestmark = pytest.mark.kernels
@@ -599,3 +600,43 @@ def test_a_controller_in_python_may_be_registered_and_found_by_name(monkeypatch)
     monkeypatch.setattr(registry._registry, "factories", dict(registry._registry.factories))
     register_controller("in-python", lambda vehicle, **options: InPython())
     assert get_controller("in-python", "paper").name == "in Python"
+
+
+class Blind(Controller):
+    """A controller as it was written before there were roads."""
+
+    period = 0.05
+
+    def step(self, state, speed, reference, variables=None):
+        return 0.1 * (reference[0] - state[3]) - state[1]
+
+
+def test_a_controller_without_the_argument_road_drives_along_one_by_offset_and_heading():
+    road = generate_road("country", seed=1, length=150.0)
+    run = simulate(DualTrack(CAR), Blind(), RoadDrive(road, 10.0), profile="road")
+    tracker = Tracker(Blind(), road)
+    place = road.at(20.0)
+    tracked = tracker.step(0.0, float(place.x), float(place.y), float(place.heading) + 0.01, 10.0, 0.0)
+    assert run.failed is None
+    assert np.abs(run.error).max() < 2.0
+    assert tracked.command < 0.0
+
+
+def test_a_step_that_returns_no_angle_is_named():
+    class Mute(Blind):
+        def step(self, state, speed, reference, variables=None):
+            pass
+
+    for drive in (lambda: simulate(DualTrack(CAR), Mute(), load_scenario("step")), lambda: check_controller(Mute())):
+        with pytest.raises(ContractError, match=r"step\(\) returned None: it must return the steering angle"):
+            drive()
+
+
+def test_a_factory_of_other_arguments_is_refused_when_it_is_registered():
+    for register, factory, said in (
+        (register_plant, lambda car: None, r"takes \(car\): it must take \(vehicle, tyre\)"),
+        (register_controller, lambda: None, r"takes \(\): it must take \(vehicle\)"),
+        (register_model, lambda vehicle: None, r"it must take \(vehicle, period\)"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            register("of other arguments", factory)

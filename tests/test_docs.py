@@ -13,7 +13,8 @@ import pytest
 import adaptrack as at
 import browser
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+PROJECT = Path(__file__).resolve().parent.parent
+DOCS = PROJECT / "docs"
 PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 
 
@@ -54,6 +55,29 @@ def test_every_name_that_a_page_imports_is_described(page):
     for module, names in imported:
         for name in re.findall(r"\w+", names):
             assert getattr(importlib.import_module(module), name) in known, f"{module}.{name}"
+
+
+# -- links ------------------------------------------------------------------------------------------------------------
+LINKING = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *PAGES, *sorted(PROJECT.glob("examples/**/*.md"))]
+
+
+def anchors(page):
+    """The fragments under which a host of Markdown shows the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", LINKING, ids=lambda page: str(page.relative_to(PROJECT)))
+def test_every_relative_link_and_every_path_of_a_page_leads_somewhere(page):
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    for link in re.findall(r"\]\((?!\w+:)([^)\s]+)\)", text):
+        file, _, anchor = link.partition("#")
+        target = page.parent / file if file else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+    for code in re.findall(r"`([^`]+)`", text):
+        for path in re.findall(r"(?<!\S)(?:benchmarks|docs|examples|experiments|src|tests|tools)/[\w./-]*\w", code):
+            assert (PROJECT / path).exists() or (page.parent / path).exists(), path
 
 
 # -- formulas ---------------------------------------------------------------------------------------------------------

@@ -295,12 +295,12 @@ def test_an_instance_that_is_reset_begins_anew(folder):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        (lambda car: car.step(command=math.nan), "reference 10 is not finite or out of its range"),
-        (lambda car: car.step(friction_rear_left=0.0), "reference 17 is not finite"),
-        (lambda car: car.step(0.5), "not a whole number of periods"),
-        (lambda car: car.fmu.doStep(7.0, 0.05), "does not begin where the last one ended"),
-        (lambda car: car.set(seed=3), "reference 3 cannot be set now"),
-        (lambda car: car.set(x=1.0), "is computed"),
+        (lambda car: car.step(command=math.nan), "at t = 0.05 s the value with reference 10 is nan: it must be finite"),
+        (lambda car: car.step(friction_rear_left=0.0), "reference 17 is 0: it must be finite and from 0.001 to 3"),
+        (lambda car: car.step(0.5), "step at t = 0.05 s is 0.025 s long: it must be a whole number of periods"),
+        (lambda car: car.fmu.doStep(7.0, 0.05), "begins at t = 7 s: it must begin where the last one ended, at 0.05 s"),
+        (lambda car: car.set(seed=3), "reference 3 cannot be set to 3: not after initialization"),
+        (lambda car: car.set(x=1.0), "cannot be set to 1: it is computed"),
         (lambda car: car.fmu.setFloat64([3], [1.0]), "of another type"),
         (lambda car: car.fmu.getFloat64([999]), "does not exist"),
         (lambda car: car.restore(car.saved()[:-8]), "the state is of another FMU"),
@@ -318,6 +318,41 @@ def test_a_wrong_call_is_refused_and_changes_nothing(wrong, says, folder, capfd)
     instance.set(command=0.01, friction_rear_left=0.9)
     assert instance.saved() == before
     capfd.readouterr()
+    instance.free()
+
+
+SINCE_1970 = 1.7e9
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("adds", [True, False], ids=["t += h", "t = start + k h"])
+def test_a_master_may_count_from_unix_time_as_it_rounds(adds, version, folder):
+    instance = Instance(car(folder, version), folder)
+    instance.fmu.terminate()
+    instance.fmu.reset()
+    instance.begin(start=SINCE_1970)
+    time, periods = SINCE_1970, 2500
+    for k in range(periods):
+        instance.fmu.doStep(time, 0.05)
+        time = time + 0.05 if adds else SINCE_1970 + (k + 1) * 0.05
+    assert instance.get("time") == SINCE_1970 + periods * 0.05
+    instance.free()
+
+
+@pytest.mark.parametrize("start", [0.0, SINCE_1970])
+def test_a_step_left_out_or_of_a_slightly_different_length_is_refused_at_once(start, folder, capfd):
+    instance = Instance(car(folder), folder)
+    instance.fmu.terminate()
+    instance.fmu.reset()
+    instance.begin(start=start)
+    for _ in range(3):
+        instance.step()
+    end = start + 3 * 0.05
+    for time, size in ((end + 0.05, 0.05), (end - 0.05, 0.05), (end + 1e-4, 0.05), (end, 0.05001), (end, 0.0499)):
+        with pytest.raises(Exception, match="failed"):
+            instance.fmu.doStep(time, size)
+    assert f"{end:.15g}" in "".join(capfd.readouterr())
+    instance.step()
     instance.free()
 
 

@@ -322,6 +322,7 @@ def test_ours_is_admitted(car, period):
     check_model(SingleTrackModel(car, period))
 
 
+@PredictionModel.register
 class Broken:
     """A model whose function writes the matrices of the paper's, but for one thing."""
 

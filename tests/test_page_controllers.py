@@ -88,7 +88,7 @@ class Program:
         return found
 
     def settings(self, top_speed):
-        """`core.loop.SETTINGS` by name."""
+        """`core.loop.Settings` by name."""
         world, actuator = self.world, self.world["actuator"]
         found = dict(world["settings"])
         found["substeps"] = plant.plant_substeps(self.chassis, self.tyre, 1, world["period"], top_speed)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from adaptrack.base.errors import ConfigError
 from adaptrack.base.files import SHIPPED
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import Tyre, list_tyres, list_vehicles, load_tyre, load_vehicle
@@ -385,6 +386,72 @@ def test_points_are_those_that_python_reads(tmp_path):
     assert found["notes"] == ["Columns left out: width_left."]
 
 
+XY = [(0.0, 0.5), (30.0, 0.25), (60.0, 1.0), (90.0, 4.0), (120.0, 9.0)]
+
+
+def table(header, columns, separator=","):
+    """A file of the points `XY` under a header; columns: their order, where s counts the points."""
+    rows = [{"x": x, "y": y, "s": float(k)} for k, (x, y) in enumerate(XY)]
+    return header + "".join(separator.join(str(row[name]) for name in columns) + "\n" for row in rows)
+
+
+HEADERS = {
+    table("# 3f2a\n# 9b1c\n# s_m; x_m; y_m; psi_rad\n", "sxys", "; "): None,
+    table("# run 1\n# t_s,x_m,y_m,v_mps\n", "sxys"): None,
+    table("#v,y,x,t\n", "syxs"): None,
+    table("## y_m, x_m\n# Monza, Italy\n", "yx"): None,
+    table("# y x\n", "yx", " "): None,
+    table("# y x\n", "yx"): None,
+    table("# y\tx\n# a remark\n", "yx", "\t"): None,
+    table("# x, y\ny, x\n", "yx"): None,
+    table("# a remark\n", "xy"): None,
+    table("# this file has x and y\n", "xy"): None,
+    table("# this file has x and y\n", "xy", " "): None,
+    table("# friction 0.9\n# Monza: 2019, lap: 3\n", "xy"): None,
+    table("# Centre line of Monza, east and north in m\n", "xy"): None,
+    table("# x [m], y (M), s []\n", "xys"): None,
+    table("x;y\n", "xy", ";").replace(".", ","): None,
+    table("", "xy", "\t").replace(".", ","): None,
+    table("# s_m,kappa_radpm\n", "xy"): (1, "If this line is a remark, remove it."),
+    table("# a remark\n# s; kappa; v; a\n", "xyxy", ";"): (2, "one column must be"),
+    table("# s kappa\n", "xy", " "): (1, "one column must be"),
+    table("# s in m, path curvature\n", "xy"): (1, "one column must be"),
+    table("# \u03ba, \u03c8\n", "xy"): (1, "one column must be"),
+    table("# x_m, kappa\n", "xy"): (1, "one column must be"),
+    table("# lat, lon\n", "xy"): (1, "latitude"),
+    table("# x [km], y [km]\n", "xy"): (1, "convert"),
+    table("# x_m, y_m\n", "xyss"): (2, "4 columns, where 2 are expected"),
+    table("", "xys"): (None, "3 columns without a header"),
+}
+"""Files of points: None for those that hold `XY`; of the others the line that is refused, and words of the sentence."""
+
+
+def test_python_takes_a_commented_line_of_names_for_the_header(tmp_path):
+    from adaptrack.road.points import read_points
+
+    for k, (text, refused) in enumerate(HEADERS.items()):
+        path = tmp_path / f"{k}.csv"
+        path.write_text(text)
+        if refused is None:
+            assert read_points(path).points.tolist() == [list(point) for point in XY], text
+            continue
+        with pytest.raises(ConfigError, match=refused[1]) as error:
+            read_points(path)
+        assert refused[0] is None or f"line {refused[0]}:" in str(error.value), error.value
+
+
+@needs_node
+def test_the_page_takes_the_same_line_for_the_header():
+    for (text, refused), answer in zip(
+        HEADERS.items(), asked([("readPoints", [text], [{}]) for text in HEADERS]), strict=True
+    ):
+        if refused is None:
+            assert np.reshape(answer["value"]["points"], (-1, 2)).tolist() == [list(point) for point in XY], text
+        else:
+            assert refused[1] in answer["error"], text
+            assert refused[0] is None or f"line {refused[0]}:" in answer["error"], answer["error"]
+
+
 @needs_node
 def test_a_lap_that_ends_where_it_began_is_closed():
     found = points_of("0,0\n30,0\n30,30\n0,30\n0,0\n")["value"]
@@ -397,7 +464,8 @@ NO_ROADS = [
     ("0,0\n1,nan\n2,0\n3,0\n", 'line 2: y = "nan" is not a finite number'),
     ("0,0\n1,\n2,0\n3,0\n", 'line 2: y = "" is not a finite number'),
     ("0,0\n1,0\n2\n3,0\n", "line 3: 1 columns, where 2 are expected"),
-    ("1\n2\n3\n4\n", "one column; x and y are needed"), ("a,b\n" + SQUARE, 'line 1: one column must be "x" or "x_m"'),
+    ("1\n2\n3\n4\n", "1 columns without a header; give x,y"),
+    ("a,b\n" + SQUARE, 'line 1: one column must be "x" or "x_m"'),
     ("x,x_m,y\n1,1,1\n", "line 1: one column must be"), ("lat,lon\n48.1,11.5\n", "line 1: column \"lat\": latitude"),
     ("x [km],y [km]\n" + SQUARE, 'column "x [km]": metres are needed, not "km"; convert them (times 1000)'),
     ("".join(f"{11.5 + k * 1e-4!r},{48.1 + k * 1e-5!r}\n" for k in range(9)), "degrees of longitude and latitude"),

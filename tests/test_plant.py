@@ -10,6 +10,7 @@ from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.cars.plant import (
     MOTION,
     DualTrack,
+    Plant,
     SingleTrack,
     SteppedPlant,
     UserPlant,
@@ -153,6 +154,7 @@ def test_the_longest_step_makes_more_steps_of_a_longer_period():
 
 
 # -- each clause of the contract --------------------------------------------------------------------------------------
+@Plant.register
 class Altered:
     """A good plant with some of its members replaced; slope(good derivative, x, u, environment, calls) alters one."""
 

@@ -23,6 +23,7 @@ from adaptrack.road import (
     load_road,
     smooth_road,
 )
+from adaptrack.road.speed import speed_limit_plan
 from references.road import figure_of_eight, nearest_by_search
 
 
@@ -207,6 +208,9 @@ def test_other_separators_and_columns_are_read_and_said(tmp_path):
         ("xx,y\n" + "1,2\n" * 5, "'x'"),
         ("x,y,x\n" + "1,2,3\n" * 5, "two of them"),
         ("x,y\n" + "1,2\n" * 5, "n >= 4"),
+        ("x,y,width_left [cm]\n" + "1,2,3\n" * 5, r"line 1: column 'width_left \[cm\]': must be in m; convert"),
+        ("x,y,speed_limit (km/h)\n" + "1,2,3\n" * 5, "must be in m/s; convert"),
+        ("x,y,bank [deg]\n" + "1,2,3\n" * 5, "must be in rad; convert"),
         ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
         ("x,y\n1,2\n3,4\n5,6\n7e5,8\n9,9\n", "line 4 is 7e[+]05 m from the next one"),
         ("x,y\n" + "".join(f"{k}e-6,0\n" for k in range(60)), "are x and y in metres"),
@@ -217,6 +221,68 @@ def test_a_table_without_a_road_is_refused_with_its_line(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_road(path)
+
+
+def raceline(path, speeds, title="vx_mps"):
+    """A race line of 100 m along x with a point every 10 m."""
+    rows = [f"{10.0 * k}; {10.0 * k}; 0.0; {speed}" for k, speed in enumerate(speeds)]
+    path.write_text(f"# 3f2a\n# s_m; x_m; y_m; {title}\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_the_speed_of_a_race_line_becomes_the_limit_and_the_plan(tmp_path):
+    speeds = [8.0, 10.0, 14.0, 14.0, 20.0, 30.0, 30.0, 20.0, 10.0, 10.0, 5.0]
+    path = raceline(tmp_path / "line.csv", speeds, "Vx [m/s]")
+    road = load_road(path, speed_column="vx")
+    s = np.arange(0.0, 101.0, 10.0)
+    np.testing.assert_allclose(road.along("speed_limit", s), speeds, atol=1e-6)
+    plan = speed_limit_plan(road)
+    np.testing.assert_allclose(plan.at(s), speeds, rtol=1e-6)
+    assert any("columns left out: s_m" in note for note in road.notes)
+    assert load_road(path).speed_limit is None
+    with pytest.raises(InvalidInput, match="has no speed limit"):
+        speed_limit_plan(load_road(path))
+
+
+@pytest.mark.parametrize(
+    ("speed", "title", "column", "words"),
+    [
+        ("nan", "vx_mps", "vx_mps", "line 7: 'nan' is not a finite number"),
+        ("-3", "vx_mps", "vx_mps", "line 7: vx_mps = -3: must be > 0 and at most 100 m/s"),
+        ("0", "vx_mps", "vx_mps", "line 7: vx_mps = 0: must be > 0"),
+        ("180", "vx_mps", "vx_mps", "line 7: vx_mps = 180: .* at most 100 m/s"),
+        ("50", "v_kmh", "v_kmh", "line 2: column 'v_kmh': must be in m/s; convert"),
+        ("50", "v [km/h]", "v", "must be in m/s; convert"),
+        ("50", "speed_mph", "speed_mph", "must be in m/s; convert"),
+        ("50", "v [rad/s]", "v", "must be in m/s; convert"),
+        ("50", "vx_mps", "vx_mp", "line 2: no single column is 'vx_mp': Did you mean 'vx_mps'"),
+        ("50", "x_m", "x_m", "there are two of them"),
+    ],
+)
+def test_a_column_that_is_no_speed_is_refused(tmp_path, speed, title, column, words):
+    path = raceline(tmp_path / "line.csv", [8.0] * 4 + [speed] + [8.0] * 4, title)
+    with pytest.raises(ConfigError, match=words):
+        load_road(path, speed_column=column)
+
+
+def test_a_speed_column_needs_a_header(tmp_path):
+    with pytest.raises(ConfigError, match="4 columns without a header"):
+        load_road(csv(tmp_path / "line.csv", POINTS), speed_column="v")
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "words"),
+    [
+        ("country", {"closed": True}, "country: closed is an option of .csv, .txt, .xml roads"),
+        ("country", {"speed_column": "v"}, "speed_column is an option of .csv, .txt roads"),
+        ("a.csv", {"seed": 1}, "a.csv: seed is an option of generated roads"),
+        ("a.toml", {"lane": -1}, "lane is an option of .xodr roads"),
+        ("a.xodr", {"width_lft": 2.0}, "unknown option width_lft. Did you mean 'width_left'"),
+    ],
+)
+def test_an_option_of_another_kind_of_road_is_refused_with_the_kinds_that_have_it(name, option, words):
+    with pytest.raises(InvalidInput, match=words):
+        load_road(name, **option)
 
 
 def test_a_file_that_is_not_there_and_a_name_that_is_none_are_refused(tmp_path):

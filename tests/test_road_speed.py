@@ -324,6 +324,18 @@ def test_check_and_drive_say_what_shaped_the_speed(command, tmp_path, capsys):
     assert "road: the road has no speed limit" in " ".join(capsys.readouterr().out.split())
 
 
+def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(command, tmp_path):
+    rows = [f"{30 * math.cos(a):.3f},{8 + math.sin(a):.3f},{30 * math.sin(a):.3f}" for a in np.arange(0.0, 6.28, 0.1)]
+    (tmp_path / "lap.csv").write_text("# x_m,vx_mps,y_m\n" + "\n".join(rows))
+    fastest = {}
+    for bounds in ((), ("--lateral-acceleration", "2")):
+        code, out, _ = command("check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
+        assert code == 0
+        fastest[bounds] = json.loads(out)["fastest"]
+    assert fastest[()] == pytest.approx(9.0, abs=0.01)
+    assert fastest[("--lateral-acceleration", "2")] == pytest.approx(math.sqrt(2.0 * 30.0), abs=0.05)
+
+
 @pytest.mark.drawn
 def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
@@ -339,6 +351,8 @@ def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
         (["check", "contry"], "Did you mean 'country'"),
         (["check", "country", "--lane", "-1"], "lane"),
         (["check", "country", "--speed", "5", "--lateral-acceleration", "3"], "either"),
+        (["check", "country", "--speed", "5", "--speed-column", "v"], "either --speed or --speed-column"),
+        (["check", "country", "--closed"], "closed is an option of .csv, .txt, .xml roads"),
         (["check", "country", "--speed", "-5"], "speed"),
         (["plot", "country", "--vehicle", "papr"], "paper"),
     ],

@@ -13,6 +13,7 @@ from adaptrack.control.controllers import (
     LQR,
     MPC,
     Bounds,
+    Controller,
     PurePursuit,
     Stanley,
     Tuning,
@@ -107,3 +108,18 @@ def test_a_swarm_spends_no_more_runs_than_it_is_given():
     assert swarm_within(2400, 8).evaluations == 300
     with pytest.raises(InvalidInput, match="at least 80"):
         swarm_within(79, 8)
+
+
+def test_a_controller_without_a_search_space_is_refused_with_the_attribute_to_set():
+    class Unbounded(Controller):
+        tuning_names, tuning = ("gain",), {"gain": 1.0}
+
+        def step(self, *values, **options):
+            return 0.0
+
+    with pytest.raises(
+        InvalidInput, match=r"set `tuning_bounds` on its class, \(low, high\) for each name in `tuning`"
+    ):
+        search_space(Unbounded())
+    Unbounded.tuning_bounds = {"gain": (0.1, 10.0)}
+    assert search_space(Unbounded()).high == (10.0,)

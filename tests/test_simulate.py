@@ -774,7 +774,7 @@ def test_the_kernels_columns_have_names_of_their_own(columns):
 
 @pytest.mark.parametrize(
     "structure",
-    [loop.SETTINGS, loop.OWN, kernel.MEMORY, period.RESULT],
+    [loop.Settings, loop.OWN, kernel.MEMORY, period.RESULT],
     ids=lambda s: s._fields[0],
 )
 def test_the_kernels_rows_have_fields_of_their_own(structure):

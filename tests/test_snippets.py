@@ -1,9 +1,9 @@
 """Every command and every Python snippet of the README and the pages runs, or, where that takes long, fits the program.
 
-A page is run from top to bottom in a folder of its own: its TOML blocks that begin with a file's name become that file,
-its Python blocks share one namespace, its console lines that begin with `$` are commands. Numbers that a page says are
-printed are printed, within 5 %: in the comment behind a `print`, in a block of text below a command (`OUTPUT_SHOWN`),
-in a table below the line `<!-- printed -->`. What scatters more is given as a range, `0.2 to 0.4`.
+A page is run from top to bottom in a folder of its own: its TOML and Python blocks that begin with a file's name become
+that file, its other Python blocks share one namespace, its console lines that begin with `$` are commands. Numbers that
+a page says are printed are printed, within 5 %: in the comment behind a `print`, in a block of text below a command
+(`OUTPUT_SHOWN`), in a table below the line `<!-- printed -->`. What scatters more is given as a range, `0.2 to 0.4`.
 """
 
 import ast
@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 
 from adaptrack import cli
+from adaptrack.cars import plant
+from adaptrack.control.controllers import registry as controllers
 
 PROJECT = Path(__file__).resolve().parent.parent
 DOCS = PROJECT / "docs"
@@ -75,6 +77,8 @@ OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run")
 OUTPUT_SHOWN = ("tutorial.md", "command-line.md")
 """Pages that show below a command what it prints: every line of it is among what is printed."""
 
+FILE = re.compile(r"# ([\w-]+\.(?:toml|py))(?=:|$)", re.MULTILINE)
+"""The first line of a block that becomes a file."""
 NEAR = 0.05
 """How far a number on a page may be from the printed one, relative; half of its last digit is always allowed."""
 PRINTED = "<!-- printed -->"
@@ -257,19 +261,31 @@ def test_a_wrong_option_or_value_would_be_found():
 
 
 # -- pages ------------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder at hand; its modules, and what they register, are forgotten afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for registry in (controllers._registry, plant._registry):
+        monkeypatch.setattr(registry, "factories", dict(registry.factories))
+    monkeypatch.setattr(controllers, "_about", dict(controllers._about))
+    yield tmp_path
+    for file in tmp_path.glob("*.py"):
+        sys.modules.pop(file.stem, None)
+
+
 @pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
+def test_a_page_runs_from_top_to_bottom(page, folder, monkeypatch, capsys):
     if page.name in NEEDED:
         module, reason = NEEDED[page.name]
         pytest.importorskip(module, reason=reason)
-    monkeypatch.chdir(tmp_path)
-    given_files(page, tmp_path)
+    given_files(page, folder)
     namespace = {"__name__": "snippet"}
     printed = ""
     for language, text in blocks(page):
-        if language == "toml" and (name := re.match(r"# ([\w-]+\.toml)", text)):
+        if name := FILE.match(text):
             Path(name[1]).write_text(text)
         elif language == "python":
             run_snippet(page.name, text, namespace)
@@ -325,6 +341,36 @@ def run_command(arguments, monkeypatch, capsys):
     told = capsys.readouterr()
     assert code == expected, told.err
     return told.out
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    ("page", "compared"),
+    [
+        ("extending.md", 'contenders = ["pure-pursuit"]\ncars = ["paper/bicycle"]\n'),
+        ("gallery/controller.md", 'contenders = ["proportional"]\ncars = ["paper"]\n'),
+    ],
+)
+def test_a_part_of_ones_own_from_a_page_is_simulated_driven_along_a_road_and_compared(
+    page, compared, folder, monkeypatch, capsys
+):
+    page_blocks = blocks(DOCS / page)
+    (module,) = (text for language, text in page_blocks if language == "python" and FILE.match(text))
+    (folder / FILE.match(module)[1]).write_text(module)
+    lines = [line for language, text in page_blocks if language == "console" for line in commands(text)]
+    lines = [line for line in lines if "--plugin" in line]
+    assert [line[1] for line in lines] == ["simulate", "drive", "compare"]
+    for line in lines[:2]:
+        assert run_command(arguments_of(line), monkeypatch, capsys)
+    (folder / "small.toml").write_text(
+        f'{compared}profiles = ["road"]\ntraining = ["country:2"]\nroads = ["country:1"]\nlength = 120.0\n'
+        "training_length = 110.0\nseeds = [0]\nbudget = 0\nentry_speeds = false\n"
+    )
+    plugin = lines[2][lines[2].index("--plugin") + 1]
+    arguments = ["compare", "--config", "small.toml", "--plugin", plugin, "--out", "compared"]
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
+    assert cli.main() == 0
+    assert "No run failed" in capsys.readouterr().out
 
 
 def test_what_is_left_out_is_on_a_page():

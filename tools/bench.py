@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from adaptrack.cars.plant import DualTrack, Plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.control.controllers import MPC, MPCCommand, Tuning, published_mpc
+from adaptrack.control.controllers import MPC, Controller, MPCCommand, Tuning, published_mpc
 from adaptrack.control.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import ENTRIES, VARIABLES, Learned, Network, Schedule, SchedulingVariables, Sugeno
@@ -52,7 +52,7 @@ RULES = 50
 """of a fuzzy system that is timed; clustering makes 44 to 60 of the authors' data"""
 
 
-class PlainController:
+class PlainController(Controller):
     """The same MPC as a NumPy program: one dense matrix product per equation, DAQP for the QP."""
 
     name = "NumPy + DAQP"
@@ -73,7 +73,7 @@ class PlainController:
         return self.mpc.describe()
 
     def step(
-        self, state: Any, speed: float, reference: Any, variables: SchedulingVariables | None = None
+        self, state: Any, speed: float, reference: Any, variables: SchedulingVariables | None = None, road: Any = None
     ) -> MPCCommand:
         """One control step, as `MPC.step`."""
         import ctypes
@@ -326,7 +326,8 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     for tuning in few:
         objective.costs(sample[0], tuning[None])
     scalar = len(few) * 180 / (time.perf_counter() - begun)
-    plain = _plain_rate([(driven, objective.scenario(sample[i]), few[i]) for i in range(6)])
+    sampled = zip(sample[:6], few, strict=False)
+    plain = _plain_rate([(driven, objective.scenario(point), tuning) for point, tuning in sampled])
     return {
         "control_steps_per_s": (steps + rows * 180) / (swarm_time + landscape_time),
         "nominal_steps_per_s": nominal,
@@ -375,12 +376,14 @@ def one_blas_thread() -> Any:
 
 
 def _plain_rate(runs: Sequence[tuple[Plant, Scenario, Array]]) -> float:
-    """Control steps per second of `PlainController`."""
+    """Control steps per second of `PlainController`, of those that a run drives while its state is finite."""
     steps, car = 0, load_vehicle("paper")
     with one_blas_thread():
+        PlainController(car, Tuning()).step(np.zeros(4), SPEEDS[1], np.zeros(1))  # warm: imports SciPy and DAQP
         begun = time.perf_counter()
         for plant, test, (Np, Nc, q, r) in runs:
-            steps += len(simulate(plant, PlainController(car, Tuning(int(Np), int(min(Nc, Np)), q, r)), test))
+            controller = PlainController(car, Tuning(int(Np), int(min(Nc, Np)), q, r))
+            steps += int(np.isfinite(simulate(plant, controller, test, failure=NEVER).Y).sum())
         return steps / (time.perf_counter() - begun)
 
 

@@ -11,6 +11,11 @@ value and unit, what is allowed and, where there is one, the remedy:
 
     plan_speed: spacing = -1 m: must be a finite number >= 0.01 and <= 100.
 
+An annotation that names a class of this package, text, a path or a function (`Road`, `Vehicle | str | None`) needs no
+mark: the argument must be an object of one of its classes.
+
+    plan_speed: road = <Vehicle van>: must be a Road.
+
 A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
 `Limit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
 whatever runs once a control period, by `real`, `whole` and `reals`.
@@ -23,18 +28,21 @@ import functools
 import inspect
 import math
 import numbers
+import os
 import sys
 import types
 import typing
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from operator import or_
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticCustomError
+from pydantic_core import PydanticCustomError, core_schema
 
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.base.limits import Limit
@@ -59,6 +67,8 @@ def _as_int(value: Any) -> int:
     return int(value)
 
 
+_PACKAGE = __name__.partition(".")[0]
+_UNIONS = (typing.Union, types.UnionType)
 _REAL, _WHOLE = BeforeValidator(_as_float), BeforeValidator(_as_int)
 _INSTANCE_OF: Any = InstanceOf  # for type checkers it is no class
 
@@ -173,8 +183,9 @@ class _Argument(NamedTuple):
         unit = next((f" {each}" for each in beside if isinstance(each, str) and _is_number(given)), "")
         if found["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
             return f"{name} = {shown(given)}{unit}: {found['ctx']['error']}"
-        must = _container(field) or allowed(field) or found["msg"].removeprefix("Input should be ")
-        none = " or None" if annotation is not _without_none(annotation) else ""
+        must = _classes_in_words(annotation) or _container(field) or allowed(field)
+        must = must or found["msg"].removeprefix("Input should be ")
+        none = " or None" if type(None) in _parts(annotation) else ""
         hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
         return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
 
@@ -258,10 +269,11 @@ def _arguments(
 ) -> tuple[list[tuple[int, _Argument]], dict[str, _Argument]]:
     """The arguments that are checked, those that may be given by position with their places, and all by name."""
     annotations = inspect.get_annotations(inspect.unwrap(function), locals=_Names(namespaces), eval_str=True)
+    annotations.pop("return", None)
     named = {
-        name: _Argument(name, annotation, _validator(annotation))
+        name: _Argument(name, annotation, _validator(checks))
         for name, annotation in annotations.items()
-        if name != "return" and (_is_checked(annotation) or typing.get_origin(_without_none(annotation)) is Literal)
+        if _is_checked(checks := _with_classes(annotation)) or typing.get_origin(_without_none(annotation)) is Literal
     }
     every = inspect.signature(function).parameters.values()
     listed = [each.name for each in every if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
@@ -273,12 +285,55 @@ def _validator(annotation: Any) -> Callable[[Any], Any]:
     return TypeAdapter(annotation).validator.validate_python
 
 
+class _Class(NamedTuple):
+    """In an annotation: an object of a class, which the body gets as it is."""
+
+    kind: type
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.is_instance_schema(self.kind)
+
+
+def _with_classes(annotation: Any) -> Any:
+    """The annotation with a check of every class in it; unchanged where it names none or cannot be checked whole."""
+    parts = _parts(annotation)
+    checks = [_class_check(part) for part in parts]
+    return reduce(or_, checks) if any(map(_names_class, parts)) and None not in checks else annotation
+
+
+def _parts(annotation: Any) -> list[Any]:
+    """The members of a union, each without a unit and a hint."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin in _UNIONS:
+        return [part for member in inner for part in _parts(member)]
+    return _parts(inner[0]) if origin is Annotated and not _is_constrained(annotation) else [annotation]
+
+
+def _names_class(part: Any) -> bool:
+    """Whether a part of an annotation is a class of the package, text, a path or a function."""
+    kind = typing.get_origin(part) or part
+    return kind in (str, os.PathLike, Callable) or getattr(kind, "__module__", "").partition(".")[0] == _PACKAGE
+
+
+def _class_check(part: Any) -> Any:
+    """The check of a part of an annotation; None where there is none, as for protocols."""
+    if part is type(None) or _is_checked(part) or typing.get_origin(part) is Literal:
+        return part
+    kind = typing.get_origin(part) or part
+    kind = {float: numbers.Real, int: numbers.Integral}.get(kind, kind)
+    unknown = kind in (Any, _ForTypeCheckers) or not isinstance(kind, type) or getattr(kind, "_is_protocol", False)
+    return None if unknown else Annotated[Any, _Class(kind)]
+
+
 def _is_checked(annotation: Any) -> bool:
     """Whether something in an annotation constrains a value."""
-    marks = (FieldInfo, BeforeValidator, _INSTANCE_OF, Limit)
-    return any(isinstance(each, marks) for each in _metadata(annotation)) or any(
-        _is_checked(each) for each in typing.get_args(annotation)
-    )
+    return _is_constrained(annotation) or any(_is_checked(part) for part in typing.get_args(annotation))
+
+
+def _is_constrained(annotation: Any) -> bool:
+    """Whether an annotation itself constrains a value."""
+    marks = (FieldInfo, BeforeValidator, _Class, _INSTANCE_OF, Limit)
+    return any(isinstance(mark, marks) for mark in _metadata(annotation))
 
 
 def _metadata(annotation: Any) -> tuple[Any, ...]:
@@ -287,7 +342,7 @@ def _metadata(annotation: Any) -> tuple[Any, ...]:
 
 def _without_none(annotation: Any) -> Any:
     """The annotation of what is given, where it is given: `X` of `X | None`."""
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+    if typing.get_origin(annotation) in _UNIONS:
         rest = [each for each in typing.get_args(annotation) if each is not type(None)]
         return rest[0] if len(rest) == 1 else annotation
     return annotation
@@ -304,6 +359,21 @@ def _element(annotation: Any, part: int | str) -> Any:
     if isinstance(kind, type) and issubclass(kind, Sequence):
         return inner[0]
     return inner[1] if isinstance(kind, type) and issubclass(kind, Mapping) else None
+
+
+def _classes_in_words(annotation: Any) -> str:
+    """The classes that `_with_classes` checks; empty where it checks none."""
+    parts = [part for part in _parts(annotation) if part is not type(None)]
+    if not any(map(_names_class, parts)):
+        return ""
+    words = {str: "text", os.PathLike: "a path", Callable: "a function"}
+    return " or ".join(words.get(typing.get_origin(part) or part) or _noun(part) for part in parts)
+
+
+def _noun(part: Any) -> str:
+    field = FieldInfo.from_annotation(part)
+    name = getattr(part, "__name__", "")
+    return _container(field) or allowed(field) or f"{'an' if name[:1] in 'AEIOU' else 'a'} {name}"
 
 
 def _container(field: FieldInfo) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
@@ -15,11 +16,16 @@ Member = TypeVar("Member")
 class Registry(Generic[Member]):
     """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first used.
 
-    what: the kind, for messages; register: the public function that adds to it.
+    what: the kind, for messages; register: the public function that adds to it; arguments: names of what every factory
+    is called with, by position.
     """
 
-    def __init__(self, what: str, register: str, factories: Mapping[str, Callable[..., Member] | str]) -> None:
+    def __init__(
+        self, what: str, register: str, factories: Mapping[str, Callable[..., Member] | str],
+        arguments: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         self.what, self.register, self.factories = what, register, dict(factories)
+        self.arguments = arguments
 
     def add(self, name: str, factory: Callable[..., Member] | str) -> None:
         """Give a factory a name.
@@ -27,7 +33,8 @@ class Registry(Generic[Member]):
         Raises
         ------
         InvalidInput
-            For a name that is taken or empty, or a factory that is neither callable nor a path.
+            For a name that is taken or empty, or a factory that is neither callable nor a path, or takes other
+            arguments.
         """
         if not name or not isinstance(name, str):
             raise InvalidInput(f"{self.register}: the {self.what} needs a name, not {name!r}.")
@@ -37,7 +44,22 @@ class Registry(Generic[Member]):
             raise InvalidInput(
                 f"{self.register}: the factory of {name!r} must be callable or 'package.module:name', not {factory!r}."
             )
+        if callable(factory):
+            self._check_arguments(name, factory)
         self.factories[name] = factory
+
+    def _check_arguments(self, name: str, factory: Callable[..., Member]) -> None:
+        try:
+            signature = inspect.signature(factory)
+        except ValueError:  # of a function in C
+            return
+        try:
+            signature.bind_partial(*self.arguments)  # others have defaults, or are given by name
+        except TypeError:
+            raise InvalidInput(
+                f"{self.register}: the factory of {name!r} takes {signature}: it must take "
+                f"({', '.join(self.arguments)})."
+            ) from None
 
     def make(self, name: str, *arguments: Any, **options: Any) -> Member:
         """What the factory of this name makes.
@@ -62,7 +84,7 @@ class Registry(Generic[Member]):
         if isinstance(factory, str):
             module, attribute = factory.split(":")
             factory = getattr(importlib.import_module(module), attribute)
-        assert callable(factory)
+            self._check_arguments(name, factory)
         return factory
 
     def known(self, name: str) -> None:

@@ -25,7 +25,7 @@ from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
-from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
@@ -122,7 +122,7 @@ class _Car(Plant):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         tyre: Tyre | str | None = None,
         steering: SteeringActuator | None = None,
         steps: Count | None = None,
@@ -274,6 +274,8 @@ class UserPlant(Plant):
     """as `Plant.costly`"""
     version: str = ""
     """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
+    vehicle: Vehicle | None = None
+    """the data sheet of this car: its failure distance, and in environments the planned speed and the MPC"""
 
     def __post_init__(self) -> None:
         values = flattened(self.parameters)
@@ -348,6 +350,8 @@ class SteppedPlant(ABC):
 
     steering: SteeringActuator | None = None
     """None for the profile's"""
+    vehicle: Vehicle | None = None
+    """as `UserPlant.vehicle`"""
     costly = True
     """as `Plant.costly`"""
     longest_step: float = 0.02
@@ -625,20 +629,26 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
         "commonroad-single-track-drift": "adaptrack.peers.commonroad_plants:drift_of_car",
         "commonroad-multi-body": "adaptrack.peers.commonroad_plants:mb_of_car",
     },
+    ("vehicle", "tyre"),
 )
 
 
+@checked
 def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
     """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
+
+    factory: a callable, or ``"package.module:name"``, imported on first use; vehicle: a `Vehicle`; tyre: a `Tyre`, its
+    name or file, or None for the vehicle's own.
 
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
+        For a name that is taken or empty, or a factory that takes other arguments.
     """
     _registry.add(name, factory)
 
 
+@checked
 def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Plant | SteppedPlant:
     """A registered plant of a vehicle on a tyre, by default the vehicle's own.
 

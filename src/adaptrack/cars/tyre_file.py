@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.cars.tyre_fit import Samples, TyreFit, fit_law, judged
@@ -179,6 +180,7 @@ class TyreFile:
         ]
 
 
+@checked
 def read_tyre_file(path: str | os.PathLike[str]) -> TyreFile:
     """Read a .tir file.
 

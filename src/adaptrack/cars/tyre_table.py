@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.cars.tyre_fit import Samples, TyreFit, cornering_stiffness, fit_law, judged
@@ -45,6 +46,7 @@ class _Axle(NamedTuple):
     """N, of one tyre"""
 
 
+@checked
 def tyre_from_table(
     path: str | os.PathLike[str], loads: tuple[float, float] | None = None, name: str | None = None
 ) -> TyreFit:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
 from adaptrack.base.registry import Registry
@@ -452,6 +453,8 @@ def list_tyres() -> list[str]:
     return list_data("tyres")
 
 
+VehicleArgument = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
+"""The type of an argument."""
 COMMONROAD: Registry[Vehicle] = Registry(
     "vehicle", "load_vehicle",
     {f"commonroad-{number}": "adaptrack.peers.commonroad_plants:commonroad_vehicle" for number in (1, 2, 3)},
@@ -459,6 +462,7 @@ COMMONROAD: Registry[Vehicle] = Registry(
 """CommonRoad's cars by name, as `load_vehicle` knows them beside those that ship."""
 
 
+@checked
 def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     """The named vehicle, or the one that a TOML file describes (keys: the fields of `Vehicle`).
 
@@ -487,6 +491,7 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     return build(Vehicle, data, path)
 
 
+@checked
 def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
     """The named tyre, or the one that a TOML file describes (keys: the fields of `Tyre`); see `load_vehicle`."""
     path = find_data("tyres", name_or_path)

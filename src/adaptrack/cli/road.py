@@ -37,6 +37,15 @@ class RoadOptions:
 
     speed: options.Speed = None
     lateral_acceleration: options.LateralAcceleration = None
+    speed_column: Annotated[
+        str | None,
+        Option(
+            "--speed-column",
+            metavar="NAME",
+            hidden=True,
+            help=".csv: drive at the speeds (m/s) of this column; --lateral-acceleration bounds them.",
+        ),
+    ] = None
     max_deviation: Annotated[
         float | None,
         Option(
@@ -110,23 +119,28 @@ class RoadOptions:
         Raises
         ------
         InvalidInput
-            When both a speed and an acceleration are given, or several seeds.
+            When a speed comes with a column of speeds or an acceleration, or there are several seeds.
         """
         from adaptrack.road import Comfort, check_road, load_road, plan_speed
-        from adaptrack.road.speed import constant_speed
+        from adaptrack.road.speed import constant_speed, speed_limit_plan
 
         if self.speed is not None and self.lateral_acceleration is not None:
             raise InvalidInput("give either --speed or --lateral-acceleration.")
+        if self.speed is not None and self.speed_column is not None:
+            raise InvalidInput("give either --speed or --speed-column.")
         if len(self.road_seed or ()) > 1:
             raise InvalidInput("--road-seed: give one.")
         known = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
             "seed": self.road_seed[0] if self.road_seed else None, "length": self.length,
+            "speed_column": self.speed_column,
         }  # fmt: skip
         road = load_road(name, **{key: value for key, value in known.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
         if self.speed is not None:
             plan = constant_speed(road, self.speed)
+        elif self.speed_column is not None and self.lateral_acceleration is None:
+            plan = speed_limit_plan(road)
         else:
             plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, kept))
         return CheckedRoad(road, plan, check_road(road, car, plan))

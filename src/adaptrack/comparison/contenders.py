@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import Controller, Tuning, get_controller, list_controllers
 from adaptrack.control.scheduling import Number, Schedule, list_schedulers, load_scheduler
@@ -21,6 +22,7 @@ from adaptrack.tuning.runs import Policy, Retuned, RunSet
 Array = NDArray[np.float64]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Contender:
     """A name, and what drives under it.
@@ -105,6 +107,7 @@ def check_contender(name: str) -> None:
         )
 
 
+@checked
 def get_contender(name: str, runs: RunSet) -> Contender:
     """The contender of this name; a path to a scheduler's .json file is one, too.
 

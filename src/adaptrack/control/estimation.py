@@ -131,6 +131,7 @@ class UserEstimator(Estimator):
         When numba cannot compile the function.
     """
 
+    @checked
     def __init__(
         self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
         memory_size: int | Callable[[int], int] = 0, label: str = "user",
@@ -163,6 +164,7 @@ _registry: Registry[Estimator] = Registry(
 )
 
 
+@checked
 def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:
     """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
 
@@ -174,6 +176,7 @@ def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> No
     _registry.add(name, factory)
 
 
+@checked
 def get_estimator(name: str, **options: Any) -> Estimator:
     """A registered estimator.
 
@@ -190,6 +193,7 @@ def list_estimators() -> list[str]:
     return _registry.names()
 
 
+@checked
 def check_estimator(estimator: Estimator, model: PredictionModel, speed: float = 15.0, steps: int = 200) -> None:
     """Test that an estimator keeps the contract on which the controller relies, with a model that it is meant for.
 
@@ -339,6 +343,7 @@ class FrictionWindEstimator:
         self.reset()
 
     @classmethod
+    @checked
     def of(
         cls,
         plant: SingleTrack | DualTrack,
@@ -403,7 +408,6 @@ class FrictionWindEstimator:
 
         memory: that of one of `packed_for`, whose steps are this one's from now on.
         """
-        self._kernel = friction_wind
         self._memory = friction_wind.Memory.new() if memory is None else memory
 
     def step(
@@ -426,25 +430,25 @@ class FrictionWindEstimator:
             raise InvalidInput(f"measured: shape {sensed.shape}, expected (4,): v_y, yaw, yaw rate, y.")
         felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
         forward, sent = real("estimator", "speed", speed), real("estimator", "command", command)
-        self._kernel.estimate(0, sensed, forward, sent, felt, self._packed, self._settings, self._memory)
+        friction_wind.estimate(0, sensed, forward, sent, felt, self._packed, self._settings, self._memory)
         return self.estimate
 
     @property
     def estimate(self) -> FrictionWindEstimate:
         """What the last step found."""
-        kernel, own = self._kernel, self._memory[0]
+        own = self._memory[0]
         return FrictionWindEstimate(
             friction=float(own.friction),
             wind=float(own.wind),
             friction_std=float(own.friction_std),
             wind_std=float(own.wind_std),
-            stiffness=math.exp(own.z[kernel.LOG_STIFFNESS]),
+            stiffness=math.exp(own.z[friction_wind.LOG_STIFFNESS]),
         )
 
     @property
     def covariance(self) -> Array:
         """(5, 5) covariance of z = [v_y, r, ln mu, w, ln s] after the last step."""
-        found: Array = self._memory[0].covariance[:, : self._kernel.N].copy()
+        found: Array = self._memory[0].covariance[:, : friction_wind.N].copy()
         return found
 
 

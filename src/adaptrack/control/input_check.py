@@ -6,7 +6,7 @@ The comparisons are kernels, `core.input_check.call`; here is what they are call
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,7 +118,11 @@ class InputCheck:
         check_settings(*car, period, self.check.settings)
         begin_check(self.check)
         self._resident, self._sample, self._bits = Resident(self.check), np.empty(len(SAMPLE)), 0
-        self._memory = memory_of(self.check.memory, 0)
+
+    @property
+    def _memory(self) -> Any:
+        """`core.input_check.record.Memory`, a view."""
+        return memory_of(self.check.memory, 0)
 
     @property
     def against_steering(self) -> bool:

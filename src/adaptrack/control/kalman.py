@@ -149,6 +149,7 @@ class KalmanFilter(Estimator):
             )
 
     @classmethod
+    @checked
     def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
         """For the sensors of a profile, see `core.synthesis.filter.sensor_noise`."""
         noise = row_of(kernel.Noise)

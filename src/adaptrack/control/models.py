@@ -14,12 +14,11 @@ from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
-from adaptrack.base.checked import Finite, Hint, NotNegative, Positive, checked
+from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.contract import compile_model
@@ -70,7 +69,7 @@ class PredictionModel(ABC):
 
     def turning(self) -> Array:
         """What the steering of a curved road ahead follows from: the first five of
-        `core.controllers.feed_forward.TURNING`; or (0,).
+        `core.controllers.feed_forward.Turning`; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """
@@ -180,9 +179,6 @@ class PredictionModel(ABC):
         return free, phi @ np.asarray(basis, float)
 
 
-_Car = Annotated[InstanceOf[Vehicle], Hint("load_vehicle(name) gives one")]
-
-
 @final
 @checked
 @dataclass(frozen=True)
@@ -198,7 +194,7 @@ class SingleTrackModel(PredictionModel):
         From its methods, when a speed or a horizon is not positive and finite.
     """
 
-    vehicle: _Car
+    vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
     states = MEASURED[:4]
 
@@ -251,7 +247,7 @@ class PathModel(PredictionModel):
     included.
     """
 
-    vehicle: _Car
+    vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
     lag: Annotated[NotNegative, "s"] = 0.0
     dead_time: Annotated[NotNegative, "s"] = 0.0
@@ -357,10 +353,11 @@ class UserModel(PredictionModel):
 
 
 _registry: Registry[PredictionModel] = Registry(
-    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}
+    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}, ("vehicle", "period")
 )
 
 
+@checked
 def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
     """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
 
@@ -372,6 +369,7 @@ def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> 
     _registry.add(name, factory)
 
 
+@checked
 def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionModel:
     """A registered prediction model of a vehicle.
 
@@ -388,6 +386,7 @@ def list_models() -> list[str]:
     return _registry.names()
 
 
+@checked
 def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30.0)) -> None:
     """Test that a prediction model keeps the contract on which the controller relies.
 

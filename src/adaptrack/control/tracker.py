@@ -18,7 +18,6 @@ from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, shown
@@ -100,7 +99,7 @@ class Tracker:
     Parameters
     ----------
     controller : Controller
-        An MPC, or any other that takes roads, without a scheduler. A filter that takes late samples in
+        An MPC or any other, without a scheduler. A filter that takes late samples in
         (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One without a filter is
         given the v_y of a steady turn where none is measured.
     path : Road
@@ -124,7 +123,7 @@ class Tracker:
     @checked
     def __init__(
         self,
-        controller: Annotated[InstanceOf[Controller], Hint("such as MPC(car)")],
+        controller: Annotated[Controller, Hint("such as MPC(car)")],
         path: Road,
         *,
         plan: SpeedPlan | None = None,
@@ -159,11 +158,7 @@ class Tracker:
         self._kernel, self._resident = kernel, Resident(kernel)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_resident"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._load(self._kernel)
+        return {**vars(self), "_recorder": None}  # two would write one file
 
     def __repr__(self) -> str:
         planned = "planned speed" if self.plan is not None else "no plan of the speed"
@@ -300,7 +295,8 @@ class Tracker:
         speed, station, count = kernel.ahead.tolist()
         state = kernel.measured if isinstance(self.controller, MPC) else kernel.measured[:4]
         self._ahead = RoadAhead(self.path, station, kernel.speeds[: int(count)].copy())
-        answered = self.controller.step(state.copy(), speed, np.zeros(1), road=self._ahead)
+        ahead = {"road": self._ahead} if self.controller.sees_road else {}
+        answered = self.controller.step(state.copy(), speed, np.zeros(1), **ahead)
         answer = command_of(answered, float(kernel.memory[0].command))
         state, bound = self._belief_of(answered)
         kernel.answer[:] = answer.angle, answer.held, state, bound

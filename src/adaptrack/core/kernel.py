@@ -12,6 +12,7 @@ Rules of the room
 from __future__ import annotations
 
 import ctypes
+import importlib
 import struct
 import sys
 from collections import namedtuple
@@ -24,6 +25,8 @@ import numpy as np
 
 from . import library
 
+BODY = "kernel."
+"""Prefix of the symbol under which an exported kernel is called by other kernels, by numba's calling convention."""
 INTERPRETED = library.WAY == "interpreted"
 """Whether kernels run as plain Python."""
 
@@ -231,7 +234,7 @@ def local(*shape: int) -> Any:
 
 class Resident:
     """A record for kernels that take it: where its fields lie is written down once, a word for a number, and for an
-    array its place and its sizes. Its arrays must not be replaced.
+    array its place and its sizes. Its arrays must not be replaced. A copy holds a copy of the record, where that lies.
     """
 
     def __new__(cls, record: Any) -> Any:
@@ -241,6 +244,9 @@ class Resident:
         self.record = record
         self.words = np.array(list(_words(record)), np.int64)
         self._as_parameter_ = ctypes.c_void_p(self.words.ctypes.data)
+
+    def __reduce__(self) -> Any:
+        return Resident, (self.record,)
 
 
 def _words(record: Any) -> Iterable[int]:
@@ -307,15 +313,30 @@ class Exported(Known):
         return struct.unpack(layout, answers.raw)
 
     def __reduce__(self) -> Any:
-        return _named, (self.name,)
+        return _named, (self.function.__module__, self.name)
 
 
 EXPORTED: dict[str, Exported] = {}
 """Every exported kernel of the modules that are imported, by its name."""
 
 
-def _named(name: str) -> Exported:
+def _named(module: str, name: str) -> Exported:
+    importlib.import_module(module)
     return EXPORTED[name]
+
+
+class Address(int):
+    """The address of a kernel as a number; copied to a different process, the address that this kernel has there."""
+
+    function: Exported
+
+    def __new__(cls, function: Exported) -> Address:
+        address = super().__new__(cls, function.address)
+        address.function = function
+        return address
+
+    def __reduce__(self) -> Any:
+        return Address, (self.function,)
 
 
 def inlined(function: Any, interpreted: Any = None) -> Any:
@@ -355,7 +376,7 @@ def _known(kind: str, function: Any, of: Any = None, interpreted: Any = None) ->
 
 def address_of(function: Any) -> Any:
     """What a kernel takes for an exported one: its address, 0 for None; in plain Python itself."""
-    return function if INTERPRETED else (0 if function is None else function.address)
+    return function if INTERPRETED else (0 if function is None else Address(function))
 
 
 def direct(kernel: Any, record: Any) -> Any:

@@ -20,7 +20,7 @@ from .plants.forces import wheel_angle
 from .road import foot_near, line_of
 from .variables import VARIABLES
 
-SETTINGS = record(
+Settings = record(
     "Settings",
     (
         "period",  # s
@@ -336,7 +336,7 @@ def actuate(slot, command, run):
 
 @inlined
 def substeps_around_change(world):
-    """Integration steps of a period before and after the next command begins to act within it; world: `SETTINGS`."""
+    """Integration steps of a period before and after the next command begins to act within it; world: `Settings`."""
     if not world.dead_share > 0.0:
         return 0, world.substeps
     return (

@@ -76,6 +76,9 @@ class Member(Exported):
     def __reduce__(self) -> Any:
         return member, (self.function, self.signature, self.viewed)
 
+    def __deepcopy__(self, memo: Any) -> Member:
+        return self  # it never changes, and takes long to compile
+
 
 def member(function: Any, signature: Signature, viewed: Any = None) -> Any:
     """A user's function (Python's or a `CFunction`) as a member of a signature.

@@ -35,10 +35,10 @@ from .loop import (
     NEVER_ARRIVED,
     NOT_FINITE,
     RUNNING,
-    SETTINGS,
     SIGNAL,
     STOPPED,
     Memory,
+    Settings,
     actuate,
     change_command,
     forget,
@@ -101,7 +101,7 @@ Trace = record("Trace", (("state", cube), ("answer", cube), ("noted", cube)))
 .), NOTED (slots, periods, NOTED)."""
 
 LOOP = (
-    ("settings", SETTINGS),
+    ("settings", Settings),
     ("features", Features),
     ("vehicles", Vehicles),
     ("given", Given),

@@ -8,11 +8,12 @@ import queue
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import MPC, CompiledController, CompiledScheduler, Controller
@@ -30,6 +31,7 @@ from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
+BatchPlant = Annotated[Plant, Hint("simulate(...) drives a stepped one")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +68,9 @@ class BatchResult:
         return self.mse + move_weight * self.mean_squared_move
 
 
+@checked
 def rollout_batch(
-    plant: Plant,
+    plant: BatchPlant,
     controller: Controller,
     scenarios: Scenario | RoadDrive | Sequence[Scenario | RoadDrive],
     tunings: ArrayLike | None = None,

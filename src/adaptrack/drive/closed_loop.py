@@ -39,19 +39,24 @@ class _SteppedVehicle:
         assert isinstance(world.plant, SteppedPlant)
         self._plant, self._steering = world.plant, world.steering
         self._mass = world.plant.powertrain["mass"]
-        self._contract = contract
         actuator = np.array([self._steering.lag, self._steering.limit])
         self.batch = contract.vehicle_batch(stepped.STEPPED, actuator, np.append(start, 0.0)[None])
-        slot = self.batch.block[:: contract.SLOTS]
-        self._state, self._input = slot[: contract.STATES], slot[contract.STATES :]
-        self._own = self.batch.states[0]
-        self._lateral_acceleration = stepped.LATERAL_ACCELERATION
         world.plant.reset(start.copy())
+
+    @property
+    def _state(self) -> Array:
+        """`contract.STATE` of the vehicle; a view of the batch."""
+        return self.batch.block[: contract.STATES * contract.SLOTS : contract.SLOTS]
+
+    @property
+    def _input(self) -> Array:
+        """`contract.INPUT` of the vehicle; a view of the batch."""
+        return self.batch.block[contract.STATES * contract.SLOTS :: contract.SLOTS]
 
     def _angle(self, time: float) -> float:
         """The front-wheel angle (rad) after a time (s) under the present command."""
         command = min(max(float(self._input[0]), -self._steering.limit), self._steering.limit)
-        angle = float(self._state[self._contract.STATE.steering])
+        angle = float(self._state[contract.STATE.steering])
         if self._steering.lag <= 0.0:
             return command
         gap, limited = command - angle, 0.0
@@ -62,21 +67,21 @@ class _SteppedVehicle:
 
     def advance(self, steps: int, h: float) -> None:
         """Move on by so many steps of h (s)."""
-        names = self._contract.INPUT
-        force, acceleration = self._input[names.force], self._input[names.acceleration]
+        names, state, demand = contract.INPUT, self._state, self._input
+        force, acceleration = demand[names.force], demand[names.acceleration]
         wanted = force / self._mass if math.isnan(acceleration) else acceleration
-        environment = self._input[names.friction_front_left :].copy()
-        before = self._state[:6].copy()
+        environment = demand[names.friction_front_left :].copy()
+        before = state[:6].copy()
         for _ in range(steps):
             middle, after = self._angle(0.5 * h), self._angle(h)
             motion = np.asarray(self._plant.step(h, middle, float(wanted), environment), dtype=np.float64)
             if motion.shape != (6,):
                 raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
-            self._state[:6] = motion
-            self._state[self._contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
-        turn = 0.5 * (before[3] * before[5] + self._state[3] * self._state[5])
-        change = self._state[4] - before[4]
-        self._own[self._lateral_acceleration] = change / (steps * h) + turn - self._input[names.bank]
+            state[:6] = motion
+            state[contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
+        turn = 0.5 * (before[3] * before[5] + state[3] * state[5])
+        change = state[4] - before[4]
+        self.batch.states[0, stepped.LATERAL_ACCELERATION] = change / (steps * h) + turn - demand[names.bank]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,27 +126,27 @@ class ClosedLoop:
             world.known_as.reset(self.run.perceiving.memory)
         self.place, self._span = Resident(self.run), Resident(period_kernel.Span(n, 1, 0, 0.0))
         """the run as kernels take it"""
-        self._own, self._references = self.run.memory.own[0], given.signals[0, loop_kernel.SIGNAL.y_ref]
+        self._own, self._references = self.run.memory.own, given.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
     def instant(self) -> int:
         """The present control instant."""
-        return int(self._own.instant)
+        return int(self._own["instant"][0])
 
     @property
     def command(self) -> float:
         """The last command (rad)."""
-        return float(self._own.command)
+        return float(self._own["command"][0])
 
     @property
     def error(self) -> float:
         """Y - y_ref (m) at the instant that was judged last."""
-        return float(self._own.error)
+        return float(self._own["error"][0])
 
     @property
     def ended(self) -> bool:
         """Whether the run has failed before its end."""
-        return bool(self._own.ended != loop_kernel.RUNNING)
+        return bool(self._own["ended"][0] != loop_kernel.RUNNING)
 
     def sense(self) -> Sensed:
         """Judge the run at this instant; what sensors give, of a car whose state is not finite what they gave before.
@@ -150,20 +155,19 @@ class ClosedLoop:
         """
         period_kernel.sense_one(self._span, self.place)
         variables = SchedulingVariables(*self.run.variables.tolist())
-        return Sensed(self.run.measured, float(self._own.speed), self._references[self.instant :], variables)
+        return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
         planned = self.signals.speed[self.instant :][:LONGEST_PREVIEW]
-        return RoadAhead(self.road, float(self._own.station), np.maximum(planned + (speed - planned[0]), 0.0))
+        return RoadAhead(self.road, float(self._own["station"][0]), np.maximum(planned + (speed - planned[0]), 0.0))
 
     def send(self, command: float) -> bool:
         """Send a command (rad); False when it is not finite, which ends the run."""
-        own = self._own
         if math.isfinite(command):
-            period_kernel.send_one(command, command - own.command, self._span, self.place)
+            period_kernel.send_one(command, command - self.command, self._span, self.place)
             return True
-        own.ended, own.ended_at = loop_kernel.NOT_FINITE, own.instant * self.world.period
+        self._own["ended"], self._own["ended_at"] = loop_kernel.NOT_FINITE, self.instant * self.world.period
         return False
 
     def advance(self) -> None:
@@ -181,7 +185,7 @@ class ClosedLoop:
     def failure(self) -> tuple[str | None, float]:
         """Why a run that is over has failed and when (s); None and NaN when it came to its end."""
         period_kernel.close_one(self.place)
-        return failure_of(int(self._own.ended), float(self._own.ended_at))
+        return failure_of(int(self._own["ended"][0]), float(self._own["ended_at"][0]))
 
 
 def failure_of(ended: int, at: float) -> tuple[str | None, float]:

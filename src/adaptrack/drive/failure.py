@@ -71,6 +71,7 @@ class Failed:
     """The reason with its numbers, to complete "the vehicle ..."."""
 
 
+@checked
 def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed | None:
     """When and why a run failed by `rule`; None when it did not.
 

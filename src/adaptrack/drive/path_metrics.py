@@ -78,6 +78,7 @@ class PathRecord:
             object.__setattr__(self, each.name, np.broadcast_to(values, t.shape))
 
     @classmethod
+    @checked
     def from_trajectory(cls, run: Trajectory) -> Self | None:
         """A run along a road as far as it is finite; None where fewer than two instants are.
 

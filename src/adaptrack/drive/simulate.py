@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from adaptrack.base.checked import Natural, checked
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.control.qp import QPStatus
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.plants.contract import STATE
-from adaptrack.drive.batch import Batch, BatchRuns
+from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
 from adaptrack.drive.predicted import PredictedPaths
@@ -37,12 +36,10 @@ from adaptrack.scenario.profile import Profile
 Array = NDArray[np.float64]
 
 
-def _refuse_nonsense(scenario: Scenario | RoadDrive) -> None:
-    if not isinstance(scenario, Scenario | RoadDrive):
-        raise InvalidInput(
-            f"scenario = {scenario!r}: must be a Scenario or a RoadDrive; load_scenario(name) and "
-            "RoadDrive(load_road(file), speed) give one."
-        )
+DriveArgument = Annotated[
+    Scenario | RoadDrive, Hint("load_scenario(name) and RoadDrive(load_road(file), speed) give one")
+]
+"""What is driven."""
 
 
 class _Recorder:
@@ -76,7 +73,7 @@ class _Recorder:
 def simulate(
     plant: Plant | SteppedPlant,
     controller: Controller,
-    scenario: Scenario | RoadDrive,
+    scenario: DriveArgument,
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
@@ -101,7 +98,6 @@ def simulate(
         When an argument does not fit the others.
     """
     world = World.of(plant, controller, profile, driver, known_as, failure)
-    _refuse_nonsense(scenario)
     loop = ClosedLoop(world, scenario, seed, traced=True)
     signals, trace = loop.signals, loop.run.trace
     record = _Recorder(signals.n, controller, trace.state[0], trace.noted[0])
@@ -118,7 +114,8 @@ def simulate(
         # an MPC's model or estimator may use the wheel angle
         measured = now.measured if controller.sees_all_sensors else now.measured[:4]
         begun = time.perf_counter()
-        ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(now.speed)}
+        sees = loop.road is not None and controller.sees_road
+        ahead: dict[str, Any] = {"road": loop.road_ahead(now.speed)} if sees else {}
         answer = controller.step(measured, now.speed, now.reference, now.variables, **ahead)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, loop.command)
@@ -136,9 +133,9 @@ def simulate(
 
 @checked
 def rollout(
-    plant: Plant,
+    plant: BatchPlant,
     controller: Controller,
-    scenario: Scenario | RoadDrive,
+    scenario: DriveArgument,
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
@@ -154,7 +151,6 @@ def rollout(
         When a part needs Python at every step: a stepped plant, a controller, a scheduler or a QP back-end outside the
         kernels.
     """
-    _refuse_nonsense(scenario)
     return rollouts(Batch(plant, controller, [scenario], profile, driver, failure, known_as), (seed,), threads=1)[0][0]
 
 

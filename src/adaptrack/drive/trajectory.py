@@ -319,6 +319,7 @@ class Trajectory:
         write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, stored, about))
 
     @classmethod
+    @checked
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read what `save` wrote, bit for bit.
 

@@ -126,9 +126,9 @@ class World:
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """`core.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
+        """`core.loop.Settings`; without a driver the speed follows its profile exactly."""
         profile, driver, steering = self.profile, self.driver, self.steering
-        return loop_kernel.SETTINGS(
+        return loop_kernel.Settings(
             period=self.period,
             substeps=substeps,
             prescribed_speed=driver is None,
@@ -224,7 +224,8 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
     if lacking:
         raise InvalidInput(
             f"profile {profile.name!r} does not measure {', '.join(lacking)}, and this MPC takes its state as it is "
-            "measured (estimator 'deadbeat'): take MPC(car, profile=...), which estimates it."
+            "measured (estimator 'deadbeat'): take the informed controller, which estimates it (--controller informed; "
+            "in Python MPC(car, profile=...))."
         )
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack import __version__
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
@@ -59,6 +60,7 @@ class Exported:
     """when and why its car failed, in words: it proves equality all the same; empty where it did not"""
 
 
+@checked
 def export_c(
     controller: Controller,
     folder: str | os.PathLike[str],

@@ -19,8 +19,8 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
 
 1. ``plant_parameters(chassis, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
    functions the `plants.contract.Vehicles` hold.
-2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.SETTINGS`;
-   ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of SETTINGS are
+2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.Settings`;
+   ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
    copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the chassis
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
 3. ``drive_start(line, offset, turned, pose)`` of `core.planning.drive`, then the speed there: the first four of the 12
@@ -77,7 +77,7 @@ OF_THE_CAR, OF_THE_DRIVE = ("car", "within", "given", "file"), ("substeps", "dea
 def world_numbers(profile: str | Profile) -> dict[str, Any]:
     """A profile for a program without Python, see the module.
 
-    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings`` (`core.loop.SETTINGS`,
+    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings`` (`core.loop.Settings`,
     all that is not of car or drive), ``remembered`` (instants whose samples are kept) and ``plants``, the names of the
     functions for each answer of ``plant_law``.
     """

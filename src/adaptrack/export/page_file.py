@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
@@ -58,6 +59,7 @@ class PageParts:
 MOST_CONTROLLERS = 2
 
 
+@checked
 def export_page(
     file: str | os.PathLike[str],
     *,

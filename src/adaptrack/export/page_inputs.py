@@ -20,7 +20,7 @@ from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import FASTEST_RATE, Body, Steering, Tyre, Vehicle, list_tyres, load_tyre
 from adaptrack.core import path
 from adaptrack.core.synthesis import car, plant
-from adaptrack.road.points import COLUMNS, DEGREES
+from adaptrack.road.points import COLUMN_UNITS, COLUMNS, DEGREES, NAME, WITHOUT_HEADER
 
 SECTIONS: dict[str, type[Record]] = {
     "": Vehicle,
@@ -77,7 +77,8 @@ def car_fields() -> dict[str, Any]:
         },
         "flaws": {"inertias": list(car.INERTIAS), "stiffnesses": list(car.STIFFNESSES), "matching": plant.MATCHING},
         "points": {
-            "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES),
+            "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
+            "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
             "fewest": path.FEWEST, "most": MOST_POINTS, "farthest": path.FARTHEST, "widest": path.WIDEST,
             "same": path.SAME, "shortest": path.SHORTEST,
         },

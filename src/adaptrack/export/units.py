@@ -145,7 +145,7 @@ def car_unit(
     values = described(car.__name__, groups, starts)
     past = loop.memory.past.shape[1]
     record = car.Car(*_columns(values), past=np.zeros(past), loop=loop)
-    title = f"car {getattr(plant, 'vehicle', plant).name}, {plant.name}, profile {world.profile.name}"
+    title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
     roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), Role.FIXED)
     return Unit("car", title, record, values, FIXED | roles)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.checked import real, whole
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
@@ -63,8 +63,8 @@ class Task:
 
     car: str | Vehicle | Plant | SteppedPlant | None = None
     """name or file of a car, with its plant if it is not dual-track (`van`, `van/single-track`, `my-car.toml`), a
-    `Vehicle`, or a plant that knows its vehicle; by default `paper`. Of random cars: the shipped car about which they
-    are drawn, by default those of `random_car`"""
+    `Vehicle`, or a plant with a `vehicle`, such as ``UserPlant(..., vehicle=car)``; by default `paper`. Of random cars:
+    the shipped car about which they are drawn, by default those of `random_car`"""
     road: str | Scenario | RoadDrive | Sequence[str | Scenario | RoadDrive] = "country:1"
     """a kind of generated road with its seed (`country:3`, `mountain:2@4` with bends at 4 m/s^2), `random-drive:3`, the
     name of a scenario, a file, a `Scenario` or a `RoadDrive`; of several each episode draws one"""
@@ -166,7 +166,10 @@ class Task:
             return car, get_plant("dual-track", car), self.world
         vehicle = getattr(car, "vehicle", None)
         if not isinstance(car, Plant | SteppedPlant) or not isinstance(vehicle, Vehicle):
-            raise InvalidInput(f"car = {car!r}: must be a name, a file, a Vehicle, or a plant with a `vehicle`.")
+            raise InvalidInput(
+                f"car = {shown(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, such as "
+                "UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
+            )
         return vehicle, car, self.world
 
     def drive(self, which: int, vehicle: Vehicle) -> Scenario | RoadDrive:

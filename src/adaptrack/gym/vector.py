@@ -87,7 +87,24 @@ class _VectorEnv(VectorEnv):
         self._observed = np.zeros((self.num_envs, len(self.names)))
         self._rngs: list[np.random.Generator] = []
         self._blocks: list[Block] = []
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._pool = self._new_pool()
+
+    def _new_pool(self) -> ThreadPoolExecutor | None:
+        return ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._pool = self._new_pool()
+        self._blocks = [self._attached(block) for block in self._blocks]
+
+    def _attached(self, block: Block) -> Block:
+        """A block of a copy, its episodes and observations again rows of the environment's arrays."""
+        own, observations = self._own[block.slots], self._observed[block.slots]
+        episodes = block.episodes._replace(own=own, observations=observations)
+        return block._replace(episodes=episodes, resident=Resident(episodes))
 
     names: tuple[str, ...]
     """of the columns of an observation"""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.scheduling.functions.network import Network
@@ -94,6 +95,7 @@ class Trained:
 
 
 @tells("train")
+@checked
 def train(
     dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None, **options: Any,

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, UnknownName, did_you_mean
 from adaptrack.base.files import read_toml
 from adaptrack.cars.plant import UserPlant, flattened
@@ -144,6 +145,7 @@ def _loads(car: Mapping[str, Any]) -> tuple[float, float]:
     return each * car["b"], each * car["a"]
 
 
+@checked
 def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> UserPlant:
     """A CommonRoad model of a car as a plant.
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.cars.vehicle import Steering, VehicleArgument
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
 from adaptrack.peers.kernels import kinematic_mpc as kernel
@@ -66,9 +66,10 @@ class KinematicMPC(CompiledController):
         **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED),
     }
 
+    @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         cutoff: float = CUTOFF,
         stages: int = STAGES,
@@ -76,7 +77,7 @@ class KinematicMPC(CompiledController):
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         period: float | None = None,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool | None = None,
         **weights: float,
     ) -> None:

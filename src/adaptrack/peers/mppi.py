@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
+from adaptrack.cars.vehicle import Steering, Tyre, VehicleArgument, in_periods
 from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.peers.kernels import mppi as kernel
 from adaptrack.peers.known_car import KnownCar
 from adaptrack.scenario.profile import Profile
@@ -50,9 +50,10 @@ class MPPI(CompiledController):
         "r": DECADES,
     }  # fmt: skip
 
+    @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
@@ -68,7 +69,7 @@ class MPPI(CompiledController):
         rounds: int = 1,
         seed: int = 0,
         period: float | None = None,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period)

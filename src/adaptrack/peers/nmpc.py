@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
+from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, in_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
 from adaptrack.control.controllers.informed import HORIZON, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.public import path_model
@@ -94,9 +94,10 @@ class NMPC(Controller):
     diagnostic_names = ("held", "iterations", "change")
     sees_all_sensors = True
 
+    @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
@@ -109,7 +110,7 @@ class NMPC(Controller):
         horizon: float = HORIZON,
         iterations: int = 1,
         period: float | None = None,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.car = KnownCar.of("NMPC", vehicle, profile, belief, tyre, friction, period)

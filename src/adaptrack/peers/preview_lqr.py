@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
@@ -51,9 +51,10 @@ class PreviewLQR(CompiledController):
         "r": FIXED,
     }  # only the ratios to r count
 
+    @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         q_e: float = 1.0,
         q_heading: float = 100.0,
@@ -62,7 +63,7 @@ class PreviewLQR(CompiledController):
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         period: float | None = None,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle

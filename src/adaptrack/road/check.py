@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit, steering_limit
@@ -60,6 +60,7 @@ def smallest_radius(car: Vehicle) -> float:
     return math.hypot(car.wheelbase / math.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
 
 
+@checked
 def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None) -> list[Finding]:
     """What of a road a car cannot drive, then what it must know: the worst place of each stretch.
 
@@ -191,7 +192,7 @@ def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
     yield Finding(
         "jump", jumps[0].s, jumps[-1].s, size, SPEAKING_JUMP,
         f"{count} by {size:.3g} 1/m at s = {worst.s:.0f} m: a step of {step:.2g} degrees at the wheels,"
-        " which no car follows exactly; Road.smoothed rounds it",
+        " which no car follows exactly; in Python, smooth_road(road) rounds it",
         True,
     )  # fmt: skip
 
@@ -239,7 +240,8 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
             "ripple", float(first[rows[0]]), float(s[turns[rows[-1] + 1]]), float(speed[worst]), float(calm[worst]),
             f"over {half[rows].sum():.0f} m in all the curvature swings to and fro, by up to {swing[rows].max():.2g} "
             f"1/m, but moves the line by no more than noise moves points; it slows the plan, to {speed[worst]:.3g} m/s "
-            f"at s = {first[worst]:.0f} m. Fit the points without max_deviation, or smooth the road (Road.smoothed)",
+            f"at s = {first[worst]:.0f} m. Smooth the road (in Python, smooth_road(road)); if you bounded the "
+            "deviation from its points (--max-deviation), allow more",
             True,
         )  # fmt: skip
 

@@ -131,6 +131,7 @@ def fit_road(
     )  # fmt: skip
 
 
+@checked
 def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points", **along: Any) -> Road:
     """A road through points without noise, such as a planner publishes, many times as fast as `fit_road`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import build, read_toml
 from adaptrack.road.along import ALONG, alongs
@@ -74,6 +76,7 @@ _READERS: dict[str, Callable[..., Road]] = {
 }
 
 
+@checked
 def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     """A road from a file, or one of the kinds that `generate_road` knows.
 
@@ -101,10 +104,26 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     if ending not in _READERS and text not in KINDS:
         known = did_you_mean(text, KINDS)
         raise UnknownName(f"no road is named {text!r}. {known} A file ends in {', '.join(_READERS)}.")
-    read = _READERS.get(ending)
-    try:
-        return generate_road(text, **options) if read is None else read(name_or_path, **options)
-    except TypeError as error:
-        if "unexpected keyword" not in str(error):
-            raise
-        raise InvalidInput(f"load_road: {text}: {error}.") from None
+    read: Callable[..., Road] = _READERS.get(ending, generate_road)
+    for name in options:
+        _check_option(text, name, read)
+    return read(text, **options)
+
+
+def _check_option(text: str, name: str, read: Callable[..., Road]) -> None:
+    """Refuse an option that is not one of the function that makes the road."""
+    if name in _options(read):
+        return
+    elsewhere = [ending for ending, reader in _READERS.items() if name in _options(reader)]
+    elsewhere += ["generated"] if name in _options(generate_road) else []
+    if elsewhere:
+        raise InvalidInput(f"{text}: {name} is an option of {', '.join(elsewhere)} roads; leave it out.")
+    raise InvalidInput(f"{text}: unknown option {name}. {did_you_mean(name, _options(read))}")
+
+
+def _options(read: Callable[..., Road]) -> set[str]:
+    """The options of a function that makes a road."""
+    names = set(list(inspect.signature(read).parameters)[1:-1]) | set(ALONG)
+    if read in (road_from_csv, read_commonroad):
+        names |= set(list(inspect.signature(fit_road).parameters)[1:-1])
+    return names if read is generate_road else names | {"name"}

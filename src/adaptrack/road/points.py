@@ -13,6 +13,7 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.base.limits import SPEED
 from adaptrack.core.path import FEWEST
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
@@ -28,9 +29,34 @@ COLUMNS = {
     "bank": ("bank", "bank_rad", "banking_rad"),
 }
 """What a column may be called. Columns of other names are left out, and said."""
+COLUMN_UNITS = {
+    "x": ("m",),
+    "y": ("m",),
+    "width_right": ("m",),
+    "width_left": ("m",),
+    "speed_limit": ("m/s", "mps"),
+    "friction": ("-", "1"),
+    "bank": ("rad",),
+}
+"""Units that may stand in brackets behind the name of a column."""
+NAME = r"[A-Za-z_\u00c0-\uffff][^\s:=]*(?: [^\s:=]+){0,2}"
+"""A name in a commented header: one to three words; a pattern of Python and of JavaScript."""
+FOREIGN_SPEED = r"km|kph|mph|mile|knot|fps"
+"""Parts of the name of a speed column that is not in m/s."""
 
 DEGREES = ("lat", "lon", "latitude", "longitude", "lng")
-_WITHOUT_HEADER = {2: ("x", "y"), 4: ("x", "y", "width_right", "width_left")}
+WITHOUT_HEADER = {2: ("x", "y"), 4: ("x", "y", "width_right", "width_left")}
+"""The columns of a file without a header, by their number."""
+
+
+class _Header(NamedTuple):
+    """The names of the columns."""
+
+    where: str
+    """file and line"""
+    titles: list[str]
+    """empty in a file without a header"""
+    commented: bool = False
 
 
 class PointsFile(NamedTuple):
@@ -45,8 +71,8 @@ class PointsFile(NamedTuple):
     notes: tuple[str, ...]
 
 
-def road_from_csv(path: str | os.PathLike[str], **options: Any) -> Road:
-    """A road through or near the points of a CSV file, see `read_points` and `fit_road`, whose options these are.
+def road_from_csv(path: str | os.PathLike[str], *, speed_column: str | None = None, **options: Any) -> Road:
+    """A road through or near the points of a CSV file; for its options see `read_points` and `fit_road`.
 
     Raises
     ------
@@ -55,7 +81,7 @@ def road_from_csv(path: str | os.PathLike[str], **options: Any) -> Road:
     ConfigError
         When it holds no road; the message names the line and the remedy.
     """
-    table = read_points(path)
+    table = read_points(path, speed_column)
     try:
         road = fit_road(table.points, **({"name": Path(path).stem, **table.along} | options))
     except InvalidInput as error:
@@ -67,12 +93,18 @@ def road_from_csv(path: str | os.PathLike[str], **options: Any) -> Road:
     return road.replace(notes=(*notes, *table.notes))
 
 
-def read_points(path: str | os.PathLike[str]) -> PointsFile:
+def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -> PointsFile:
     """The points of a CSV file, one per line, in the order in which they are driven; x and y in m.
 
-    Separated by ``,``, ``;``, tabs or blanks. Lines that are empty or begin with ``#`` are skipped; the last of them
-    before the numbers, or the first other line, may be a header (`COLUMNS`). Without one, two columns are x, y and four
-    x, y, width to the right, width to the left. Points that repeat the one before are left out.
+    Cells are separated by ``;``, tabs, ``,`` or blanks; except in files with commas between cells, the decimal mark may
+    be a comma. The first line may be a header (`COLUMNS`), and so may a line behind ``#`` above the numbers whose cells
+    are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
+    columns are x, y and four x, y, width to the right, width to the left. Repeated points are left out.
+
+    Parameters
+    ----------
+    speed_column : str, optional
+        Name of the column that becomes the speed limit (m/s), such as the speed of a race line.
 
     Raises
     ------
@@ -85,20 +117,22 @@ def read_points(path: str | os.PathLike[str]) -> PointsFile:
     header, rows = _split(where, _text(path))
     if len(rows) < FEWEST:
         raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {FEWEST} points.")
-    names = _names(where, header, len(rows[0][1]))
+    names = _names(header, len(rows[0][1]), speed_column)
     numbers = np.empty((len(rows), len(names)))
     for k, (line, cells) in enumerate(rows):
         if len(cells) != len(names):
             raise ConfigError(f"{where}, line {line}: {len(cells)} columns, where {len(names)} are expected.")
         numbers[k] = [_number(where, line, cell, wanted=bool(name)) for cell, name in zip(cells, names, strict=True)]
     columns = {name: numbers[:, k] for k, name in enumerate(names) if name}
+    if speed_column is not None:
+        _check_speeds(where, speed_column, columns["speed_limit"], [line for line, _ in rows])
     points = np.stack([columns.pop("x"), columns.pop("y")], axis=-1)
     moved = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])
     return PointsFile(
         points[moved],
         {name: values[moved] for name, values in columns.items()},
         tuple(line for (line, _), kept in zip(rows, moved, strict=True) if kept),
-        _notes(header, names, int((~moved).sum())),
+        _notes(header.titles, names, int((~moved).sum())),
     )
 
 
@@ -109,66 +143,135 @@ def _text(path: str | os.PathLike[str]) -> str:
         raise ConfigError(f"{os.fspath(path)}: not a CSV text in UTF-8: {error}.") from error
 
 
-def _notes(header: Sequence[str], names: Sequence[str], repeated: int) -> tuple[str, ...]:
-    left_out = [title for title, name in zip(header, names, strict=False) if not name]
+def _notes(titles: Sequence[str], names: Sequence[str], repeated: int) -> tuple[str, ...]:
+    left_out = [title for title, name in zip(titles, names, strict=False) if not name]
     said = [f"columns left out: {printable(', '.join(left_out))}"] if left_out else []
     return (*said, f"{repeated} repeated points left out") if repeated else tuple(said)
 
 
-def _split(where: str, text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The cells of the header, empty without one, and of the lines of numbers, with the number of each line."""
-    header: list[str] = []
+def _split(where: str, text: str) -> tuple[_Header, list[tuple[int, list[str]]]]:
+    """The header, and the cells of the lines of numbers, with the number of each line."""
+    header = None
+    remarks: list[tuple[int, str]] = []
     rows: list[tuple[int, list[str]]] = []
-    for line, content in enumerate(text.splitlines(), start=1):
-        content = content.strip()
-        cells = _cells(content.lstrip("# \t"))
-        if not content or (content.startswith("#") and (rows or _column_of(cells[0] if cells else "") is None)):
+    blanks = False
+    for line, content in enumerate(map(str.strip, text.splitlines()), start=1):
+        plain = content.lstrip("# \t")
+        if not plain or (content.startswith("#") and rows):
             continue
-        if content.startswith("#") or (not rows and not header and not is_number(cells[0])):
-            header = cells
+        if content.startswith("#"):
+            remarks.append((line, plain))
+        elif rows or header or _is_number(_cells(plain)[0]):
+            rows.append((line, _cells(plain)))
+            blanks = _separator(plain) is None
         else:
-            rows.append((line, cells))
-    return header, rows
+            header = _Header(f"{where}, line {line}", _cells(plain))
+    return header or _commented_header(where, remarks, len(rows[0][1]) if rows else 0, blanks), rows
+
+
+def _commented_header(where: str, remarks: Sequence[tuple[int, str]], columns: int, blanks: bool) -> _Header:
+    """The commented line that names the columns: the last with x and y, or else the last whose cells are names.
+
+    blanks: whether blanks separate the numbers; a remark in words separated by blanks is then a header if there are as
+    many words as columns.
+    """
+    complete, incomplete = [], []
+    for line, plain in remarks:
+        titles = _cells(plain)
+        header = _Header(f"{where}, line {line}", titles, commented=True)
+        fits = len(titles) == columns
+        if fits and {"x", "y"} <= {_column_of(title) for title in titles}:
+            complete.append(header)
+        elif len(titles) > 1 and all(re.fullmatch(NAME, _plain(title)) for title in titles):
+            incomplete += [header] if _separator(plain) or (fits and blanks) else []
+    return next(reversed(complete or incomplete), _Header(where, []))
+
+
+def _separator(content: str) -> str | None:
+    """The mark between the cells of a line; None: blanks."""
+    return next((mark for mark in ";\t," if mark in content), None)
 
 
 def _cells(content: str) -> list[str]:
-    separator = next((mark for mark in ";,\t" if mark in content), None)
-    return [cell.strip().strip('"') for cell in content.split(separator)]
+    return [cell.strip().strip('"') for cell in content.split(_separator(content))]
+
+
+def _is_number(cell: str) -> bool:
+    return is_number(cell.replace(",", "."))
+
+
+def _plain(title: str) -> str:
+    """A column's title without its unit."""
+    return re.sub(r"\s*[\[(].*", "", title).strip().lower()
 
 
 def _column_of(title: str) -> str | None:
     """The quantity that a column's title names."""
-    plain = re.sub(r"\s*[\[(].*", "", title).strip().lower()
-    return next((name for name, titles in COLUMNS.items() if plain in titles), None)
+    return next((name for name, titles in COLUMNS.items() if _plain(title) in titles), None)
 
 
-def _names(where: str, header: Sequence[str], count: int) -> list[str]:
-    """What each column holds; empty for one that is left out."""
-    if not header:
-        if count not in _WITHOUT_HEADER:
+def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
+    """The quantity in each column; empty for a column that is left out."""
+    where, titles = header.where, header.titles
+    if not titles:
+        if count not in WITHOUT_HEADER or speed_column is not None:
             raise ConfigError(
                 f"{where}: {count} columns without a header; give x,y or x,y,width_right,width_left, or name them: "
                 f"{', '.join(COLUMNS)}."
             )
-        return list(_WITHOUT_HEADER[count])
-    names = [_column_of(title) or "" for title in header]
-    if {title.strip().lower() for title in header} & set(DEGREES):
+        return list(WITHOUT_HEADER[count])
+    names = [_column_of(title) or "" for title in titles]
+    if {_plain(title) for title in titles} & set(DEGREES):
         raise ConfigError(f"{where}: latitude and longitude; convert them to x (east) and y (north) in m first.")
+    if speed_column is not None:
+        names = ["" if name == "speed_limit" else name for name in names]
+        names[_place_of(speed_column, header)] = "speed_limit"
     for name in ("x", "y"):
         if names.count(name) != 1:
-            hint = "there are two of them" if names.count(name) else did_you_mean(name, header)
-            raise ConfigError(f"{where}: one column must be {name!r} or {name + '_m'!r}: {hint}")
+            hint = "there are two of them." if names.count(name) else did_you_mean(name, titles)
+            remedy = " If this line is a remark, remove it." if header.commented else ""
+            raise ConfigError(f"{where}: one column must be {name!r} or {name + '_m'!r}: {hint}{remedy}")
     doubled = [name for name in names if name and names.count(name) > 1]
     if doubled:
         raise ConfigError(f"{where}: two columns say {doubled[0]!r}; remove one.")
+    for title, name in zip(titles, names, strict=True):
+        _check_unit(where, title, name)
     return names
+
+
+def _place_of(speed_column: str, header: _Header) -> int:
+    """The place of the column that the caller names."""
+    name = speed_column.strip().lower()
+    places = [k for k, title in enumerate(header.titles) if name in (title.lower(), _plain(title))]
+    if len(places) != 1:
+        hint = "there are two of them." if places else did_you_mean(speed_column, header.titles)
+        raise ConfigError(f"{header.where}: no single column is {speed_column!r}: {hint}")
+    if re.search(FOREIGN_SPEED, header.titles[places[0]].lower()):
+        raise ConfigError(f"{header.where}: column {header.titles[places[0]]!r}: must be in m/s; convert it.")
+    return places[0]
+
+
+def _check_unit(where: str, title: str, name: str) -> None:
+    """Refuse a column that is used and whose title states another unit."""
+    unit = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]", title)
+    if name and unit and unit[1].lower() not in ("", *COLUMN_UNITS[name]):
+        raise ConfigError(f"{where}: column {printable(title)!r}: must be in {COLUMN_UNITS[name][0]}; convert it.")
+
+
+def _check_speeds(where: str, column: str, speeds: Array, lines: Sequence[int]) -> None:
+    """Refuse speeds that no car drives."""
+    for k in np.flatnonzero(~((speeds > 0.0) & (speeds <= SPEED.most)))[:1]:
+        raise ConfigError(
+            f"{where}, line {lines[k]}: {column} = {speeds[k]:g}: must be > 0 and at most {SPEED.most:g} m/s; "
+            "correct or remove the line."
+        )
 
 
 def _number(where: str, line: int, cell: str, wanted: bool) -> float:
     if not wanted:
         return 0.0
-    if not is_number(cell) or not math.isfinite(float(cell)):
+    if not _is_number(cell) or not math.isfinite(float(cell.replace(",", "."))):
         raise ConfigError(
             f"{where}, line {line}: {printable(cell)!r} is not a finite number; correct or remove the line."
         )
-    return float(cell)
+    return float(cell.replace(",", "."))

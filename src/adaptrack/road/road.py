@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import reals
+from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
@@ -64,7 +64,7 @@ class Projection(NamedTuple):
 class Road:
     """A centre line with continuous heading, and width, speed limit, friction and bank along it.
 
-    Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smoothed` makes another road.
+    Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smooth_road` rounds it.
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 
@@ -141,6 +141,7 @@ class Road:
     # ---- made of
 
     @classmethod
+    @checked
     def from_segments(
         cls,
         segments: Sequence[Segment],

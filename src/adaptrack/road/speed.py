@@ -225,6 +225,23 @@ def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> Spee
     return _plan(planning.table, kernel.plan_constant(speed, planning), road.closed, Comfort())
 
 
+def speed_limit_plan(road: Road) -> SpeedPlan:
+    """The speed limit of a road as the speed along it, whatever else bounds the speed: that of a race line.
+
+    Raises
+    ------
+    InvalidInput
+        When a part of the road has no speed limit.
+    """
+    planning = _planning(road, _bounds(Comfort(), None), None, ())
+    kernel.plan_cells(planning)
+    limit = road.along("speed_limit", planning.table[PLAN.s])
+    if unlimited(limit).any():
+        raise InvalidInput(f"speed_limit_plan: road {road.name!r} has no speed limit: give load_road a speed_column.")
+    planning.table[PLAN.square] = limit**2
+    return _plan(planning.table, kernel.plan_times(planning), road.closed, Comfort())
+
+
 def _bounds(
     comfort: Comfort, car: Vehicle | None, start: float | None = None, end: float | None = None,
     top_speed: float | None = None, spacing: float = SPACING,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import real
+from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, shown
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
@@ -259,6 +259,7 @@ def scenario_options(name: str) -> dict[str, Any]:
     return {key: option.default for key, option in inspect.signature(_MANOEUVRES[name]).parameters.items()}
 
 
+@checked
 def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None = None, **options: Any) -> Scenario:
     """A scenario by its name or from a TOML or CSV file, with options.
 

@@ -169,6 +169,7 @@ class Scenario(Record):
     # ---- from and to arrays and files
 
     @classmethod
+    @checked
     def from_arrays(
         cls,
         t: ArrayLike,
@@ -225,6 +226,7 @@ class Scenario(Record):
         return cls(**(values | fields))
 
     @classmethod
+    @checked
     def from_csv(cls, path: str | os.PathLike[str], **fields: Any) -> Scenario:
         """A scenario from a table with the columns t, y_ref, speed, friction, wind_y and optionally wind_x.
 
@@ -254,6 +256,7 @@ class Scenario(Record):
             raise ConfigError(f"{os.fspath(path)}: {error}") from None
 
     @classmethod
+    @checked
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
         """The scenario that a TOML file describes (docs/scenarios.md); its name is the file's, unless it says another.
 

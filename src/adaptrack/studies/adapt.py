@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
 from adaptrack.comparison.table import Comparison
@@ -47,6 +48,7 @@ class Adapted:
     """the paper's two"""
 
 
+@checked
 def adapt(
     config: AdaptationConfig,
     out: str | os.PathLike[str],

@@ -147,6 +147,7 @@ class Shadow:
 
 @tells("shadow")
 @checked
+@checked
 def shadow(
     logs: LogSource | Sequence[LogSource],
     car: str | os.PathLike[str] | Vehicle,

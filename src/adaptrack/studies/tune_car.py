@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import Certificate, certify
 from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import checked, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import tells
 from adaptrack.cars.domain import Domain
@@ -40,6 +40,7 @@ FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
 NOISE_SOUGHT, NOISE_JUDGED = 5_001, 5_002
 
 
+@checked
 @dataclass(frozen=True)
 class TuningEffort:
     """How much a search may cost.
@@ -175,6 +176,7 @@ def _entries(tuning: Tuning) -> dict[str, float]:
 
 
 @tells("tune")
+@checked
 def tune(
     car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
     speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,

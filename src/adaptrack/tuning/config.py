@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import AdaptrackError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, Record, build, printable, read_toml
 from adaptrack.base.limits import LANDSCAPE, NOISE_SEEDS, check_limit
@@ -332,6 +333,7 @@ def list_campaigns() -> dict[str, str]:
     return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
 
 
+@checked
 def load_campaign(name_or_path: str | os.PathLike[str]) -> CampaignConfig:
     """The named campaign, or the one that a TOML file describes (keys: the fields of `CampaignConfig`).
 

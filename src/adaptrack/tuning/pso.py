@@ -370,6 +370,7 @@ class Swarm:
             raise InvalidInput(f"The swarm is done: it has the costs of all {self.settings.generations} generations.")
 
 
+@checked
 def minimise(
     function: Callable[[Array], ArrayLike],
     space: SearchSpace,

@@ -52,8 +52,8 @@ def search_space(controller: Controller) -> SearchSpace:
         return (PUBLISHED if controller.is_published else Search.around(controller.tuning)).space()
     if not is_tunable(controller):
         raise InvalidInput(
-            f"no search space is known for the controller {controller.name!r}: its `tuning_bounds` say none; "
-            "tune_constant(..., space=SearchSpace(...)) takes one."
+            f"the controller {controller.name!r} has no search space: set `tuning_bounds` on its class, (low, high) "
+            "for each name in `tuning`; or, in Python, call tune_constant(..., space=SearchSpace(...))."
         )
     own, bounds = controller.tuning, {name: Bounds(*each) for name, each in controller.tuning_bounds.items()}
     scale = {name: own[name] if each.relative else 1.0 for name, each in bounds.items()}

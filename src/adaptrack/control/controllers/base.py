@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,13 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
-from adaptrack.base.checked import Hint, Positive, checked, real
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.checked import Positive, checked, real
+from adaptrack.base.errors import ContractError, InvalidInput, shown
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.car import Steering as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
@@ -45,10 +45,20 @@ def command_of(answer: Any, before: float) -> Command:
     """An answer of `Controller.step` as a command; one that is the steering angle (rad) alone has no more to say.
 
     before: the last command (rad).
+
+    Raises
+    ------
+    ContractError
+        When it is neither an angle nor has one.
     """
     if isinstance(answer, Command):
         return answer
-    angle = float(getattr(answer, "angle", answer))
+    try:
+        angle = float(getattr(answer, "angle", answer))
+    except (TypeError, ValueError):
+        raise ContractError(
+            f"step() returned {shown(answer)}: it must return the steering angle (rad), or an answer with an `angle`."
+        ) from None
     return Command(
         angle, float(getattr(answer, "move", angle - before)), bool(getattr(answer, "held", False)),
         getattr(answer, "tuning", ()), getattr(answer, "diagnostics", {}),
@@ -100,6 +110,8 @@ class Controller(ABC):
     """The car that it was made for, if it says so."""
     limits: Any = None
     """`Limits` on angle and move; None: none are known."""
+    sees_road: bool = True
+    """Whether `step` has the argument `road`; without it a controller steers along roads by offset and heading."""
     sees_all_sensors: bool = False
     """Whether `step` is given all that is measured (`core.models.contract.MEASURED`), not four numbers only."""
     scheduler: Any = None
@@ -117,6 +129,8 @@ class Controller(ABC):
         super().__init_subclass__()
         if cls.name == Controller.name:
             cls.name = cls.__name__  # type: ignore[method-assign, assignment]
+        arguments = inspect.signature(cls.step).parameters.values()
+        cls.sees_road = any(argument.name == "road" or argument.kind is argument.VAR_KEYWORD for argument in arguments)
         if cls.tuning_bounds and not cls.tuning_names:
             cls.tuning_names = tuple(cls.tuning_bounds)
 
@@ -237,7 +251,7 @@ class CompiledController(Controller):
         tuning: Mapping[str, float],
         *,
         period: Annotated[Positive, "s"] = 0.1,
-        limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
     ) -> None:
         self.tuning = self.check_tuning(tuning)
@@ -358,13 +372,6 @@ class CompiledController(Controller):
     def __copy__(self) -> Self:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
-
-
-def known_vehicle(where: str, vehicle: Vehicle) -> Vehicle:
-    """The vehicle; `InvalidInput` unless it is one."""
-    if not isinstance(vehicle, Vehicle):
-        raise InvalidInput(f"{where}: vehicle = {vehicle!r}: must be a Vehicle; load_vehicle(name) gives one.")
-    return vehicle
 
 
 def steering_delay(vehicle: Vehicle) -> float:

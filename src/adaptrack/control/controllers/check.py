@@ -11,6 +11,8 @@ import numpy as np
 
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import Array, Controller, command_of
+from adaptrack.road import Arc, Line, Road
+from adaptrack.road.ahead import RoadAhead
 
 SPEEDS = (1.0, 5.0, 15.0, 30.0)
 """m/s, at which a controller is called."""
@@ -21,6 +23,7 @@ NEAR = 1e-9
 BAD = (math.nan, math.inf, -math.inf, 1e300, -1e300)
 """What a broken sensor may say."""
 
+_BEND = Road.from_segments([Line(length=50.0), Arc(length=90.0, curvature=1 / 60)])
 Question = tuple[Array, float, Array]
 """State (4,), speed (m/s), reference (n,), as `Controller.step` takes them."""
 Variables = Callable[[Array, float, Array], Any]
@@ -30,10 +33,11 @@ def check_controller(controller: Controller, symmetric: bool = True, variables: 
     """Test that a controller keeps the contract on which the drivers rely.
 
     It has a name, a positive period, `reset`, `step` and `describe` (plain data for JSON). In sane situations, from
-    1 to 30 m/s, it answers finite commands, within its `limits` if it names some, with the move from the
-    last command; the same after each `reset`; and mirrored ones for the mirrored situation, unless `symmetric` is
-    False. It takes read-only arrays and writes to none of its arguments. NaN, infinities and huge numbers in a state, a
-    speed or a reference end in no exception but `InvalidInput`, and in a finite command within the limits.
+    1 to 30 m/s, and in a bend if it sees the road, it answers finite commands, within its `limits` if it names some,
+    with the move from the last command; the same after each `reset`; and mirrored ones for the mirrored situation,
+    unless `symmetric` is False. It takes read-only arrays and writes to none of its arguments. NaN, infinities and huge
+    numbers in a state, a speed or a reference end in no exception but `InvalidInput`, and in a finite command within
+    the limits.
 
     variables: makes the fourth argument of `step` from the others, for controllers with a scheduler.
 
@@ -50,6 +54,8 @@ def check_controller(controller: Controller, symmetric: bool = True, variables: 
         if symmetric:
             mirrored = ask.drive([(-state, speed, -reference) for state, speed, reference in drive])
             ask.same([-angle for angle in first], mirrored, "the mirrored situation must give the mirrored command")
+    if controller.sees_road:
+        ask.drive_bend()
     for question in _broken():
         ask.survives(question)
     controller.reset()
@@ -94,7 +100,15 @@ class _Asking:
         self.last = 0.0
         return [self.step(question) for question in questions]
 
-    def step(self, question: Question) -> float:
+    def drive_bend(self) -> None:
+        """A drive through a bend, beside its centre line."""
+        self.controller.reset()
+        self.last = 0.0
+        for station in np.arange(40.0, 60.0):
+            ahead = RoadAhead(_BEND, float(station), np.full(80, 15.0))
+            self.step((np.array([0.0, 0.01, 0.0, 0.1]), 15.0, np.zeros(1)), road=ahead)
+
+    def step(self, question: Question, **road: RoadAhead) -> float:
         """The command (rad) of one step, tested; `InvalidInput` passes."""
         state, speed, reference = question
         given = state.copy(), reference.copy()
@@ -103,7 +117,7 @@ class _Asking:
         variables = None if self.variables is None else self.variables(state, speed, reference)
         shown = f"state {np.round(state, 6).tolist()}, speed {speed:g} m/s, reference {reference[:3].tolist()}..."
         try:
-            answer = self.controller.step(given[0], speed, given[1], variables)
+            answer = self.controller.step(given[0], speed, given[1], variables, **road)
             angle, move, *_ = command_of(answer, self.last)
         except InvalidInput:
             raise

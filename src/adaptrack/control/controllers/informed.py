@@ -8,13 +8,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers.base import known_vehicle
 from adaptrack.control.controllers.belief import (
     Belief,
     GivenSteering,
@@ -65,7 +63,7 @@ def _checked(period: float) -> float:
 def informed_tuning(
     profile: str | Profile = "road",
     period: Annotated[Positive, "s"] | None = None,
-    uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
+    uncertainty: Annotated[Uncertainty, Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
 ) -> Tuning:
     """The constant tuning in a profile; period: control period, by default the profile's.
 
@@ -142,7 +140,7 @@ def order_of(
 
     Arguments and errors are those of `informed_parts`.
     """
-    car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
+    car, world = vehicle, load_profile(UNNAMED if profile is None else profile)
     world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
     step = _checked(world.period if period is None else period)
     steering, uncertainty, learning = given
@@ -175,8 +173,8 @@ def _same_car(car: Vehicle, learning: Learning | Literal["auto"]) -> None:
     start = learning.start if isinstance(learning, Learning) else None
     if start is not None and start.car not in ("", car.name):
         raise InvalidInput(
-            f"Learning: start: learned of car {start.car!r}, and the controller's is {car.name!r}: begin without it, "
-            "or give it as LearnedCar(..., car='') if it is the same."
+            f"Learning: start: learned on car {start.car!r}, but the controller drives {car.name!r}: start without it; "
+            "if it is the same car, set car = '' (in its file, or in Python LearnedCar(..., car=''))."
         )
 
 

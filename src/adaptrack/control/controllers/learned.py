@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, InstanceOf
+from pydantic import Field
 
 from adaptrack.base.checked import Count, Finite, Hint, NotNegative, Positive, checked
 from adaptrack.base.files import Record, build, read_toml
@@ -123,6 +123,7 @@ class LearnedCar(Record):
         super().to_toml(path)
 
 
+@checked
 def load_learned_car(path: str | os.PathLike[str]) -> LearnedCar:
     """What `LearnedCar.to_toml` has written.
 
@@ -149,7 +150,7 @@ class Learning:
     range. The other numbers are the method; see `core.estimators.learning` for the filters.
     """
 
-    start: Annotated[InstanceOf[LearnedCar], Hint("load_learned_car(file) gives one")] | None = None
+    start: Annotated[LearnedCar, Hint("load_learned_car(file) gives one")] | None = None
     lags: _Hypotheses = _USUAL.lags
     dead_times: _Hypotheses = _USUAL.dead_times
     bias: Annotated[NotNegative, "rad"] | None = None

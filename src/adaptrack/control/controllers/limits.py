@@ -69,3 +69,7 @@ class Moves:
     def laguerre(cls, pole: float = 0.95, terms: int = 10) -> Self:
         """Laguerre functions."""
         return cls("laguerre", pole, terms)
+
+
+LimitsArgument = Annotated[Limits, Hint("Limits(move=(low, high), angle=(low, high))")]
+"""The type of an argument."""

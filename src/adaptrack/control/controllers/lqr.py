@@ -11,17 +11,16 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import (
     DECADES,
     FIXED,
     Array,
     Bounds,
     CompiledController,
-    known_vehicle,
     steering_delay,
 )
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import lqr as kernel
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
@@ -61,17 +60,17 @@ class LQR(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         q_e: Annotated[Positive, "1/m^2"] = 1.0,
         q_heading: Annotated[Positive, "1/rad^2"] = 100.0,
         r: Annotated[Positive, "1/rad^2"] = 1000.0,
         preview_time: float | None = None,
         period: float = 0.1,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
     ) -> None:
-        self.vehicle = known_vehicle("LQR", vehicle)
+        self.vehicle = vehicle
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {

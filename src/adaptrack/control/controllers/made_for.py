@@ -46,7 +46,8 @@ def mismatches(made_for: Any, model: str, car: str | None, profile: str | None, 
     named = made_for if isinstance(made_for, Mapping) else {}
     expected, found = _model_of(named), []
     if expected not in (None, model):
-        remedy = "published_mpc(...) is that one" if expected == INCREMENTAL else "learn it on this one"
+        published = "use it with the published MPC (`adaptrack evaluate-schedules`, in Python published_mpc(...))"
+        remedy = published if expected == INCREMENTAL else "learn it on this one"
         found.append(f"tunes an MPC whose model is {model!r}, not {expected!r}, for which it was made: {remedy}")
     cars = dict.fromkeys(each for each in (car, driven) if each is not None)
     for what, here in (*(("car", each) for each in cars), ("profile", profile)):

@@ -17,18 +17,17 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import InstanceOf
 
 from adaptrack.base.checked import Count, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
-from adaptrack.control.controllers.limits import Limits, Moves
+from adaptrack.control.controllers.limits import Limits, LimitsArgument, Moves
 from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
@@ -189,20 +188,20 @@ class MPC(Controller):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
-        tuning: Annotated[InstanceOf[Tuning], Hint("Tuning(Np, Nc, Q, R)")] | None = None,
+        vehicle: VehicleArgument,
+        tuning: Annotated[Tuning, Hint("Tuning(Np, Nc, Q, R)")] | None = None,
         *,
         profile: str | Profile | None = None,
         belief: GivenSteering = None,
-        uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
-        learning: Annotated[InstanceOf[Learning] | Literal["auto"], Hint(_METHOD)] | None = AUTO,
+        uncertainty: Annotated[Uncertainty, Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
+        learning: Annotated[Learning | Literal["auto"], Hint(_METHOD)] | None = AUTO,
         period: Annotated[Positive, "s"] | None = None,
-        limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
-        moves: InstanceOf[Moves] | None = None,
+        limits: LimitsArgument | None = None,
+        moves: Moves | None = None,
         preview: bool | None = None,
         solver: str | QPSolver = "active-set",
         scheduler: Scheduler | None = None,
-        model: InstanceOf[PredictionModel] | None = None,
+        model: PredictionModel | None = None,
         estimator: str | Estimator | None = None,
         speed_floor: Annotated[Positive, "m/s"] = 1.0,
         longest_horizon: Annotated[Count, PREDICTION_HORIZON] | None = None,

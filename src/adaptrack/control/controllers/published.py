@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.limits import Moves
 from adaptrack.control.controllers.mpc import MPC
@@ -11,6 +12,7 @@ from adaptrack.control.controllers.tuning import Tuning
 from adaptrack.control.models import SingleTrackModel
 
 
+@checked
 def published_mpc(vehicle: Vehicle, tuning: Tuning | None = None, *, period: float = 0.1, **options: Any) -> MPC:
     """The MPC of the paper as written: eqs. (8)-(17), moves as pulses, `Tuning()` of its table by default.
 

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers.base import Array, Bounds, CompiledController, known_vehicle
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.cars.vehicle import VehicleArgument
+from adaptrack.control.controllers.base import Array, Bounds, CompiledController
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import pure_pursuit as kernel
 from adaptrack.core.synthesis import laws
 
@@ -32,15 +32,15 @@ class PurePursuit(CompiledController):
     @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         lookahead_time: Annotated[NotNegative, "s"] = 0.6,
         lookahead_min: Annotated[Positive, "m", Hint("a standing car has no target else")] = 4.0,
         period: float = 0.1,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
     ) -> None:
-        self.vehicle = known_vehicle("PurePursuit", vehicle)
+        self.vehicle = vehicle
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}

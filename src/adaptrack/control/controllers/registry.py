@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers.base import Controller
@@ -67,10 +68,12 @@ _SHIPPED: dict[str, tuple[str, About]] = {
 }
 _about: dict[str, About] = {name: about for name, (_, about) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(
-    "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()}
-)
+    "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()},
+    ("vehicle",),
+)  # fmt: skip
 
 
+@checked
 def register_controller(name: str, factory: Factory | str, *, words: str = "", compiled: bool = False) -> None:
     """Give a controller a name for everything that takes one: `simulate`, `drive`, `tune`, `evaluate`, `compare`.
 
@@ -82,12 +85,13 @@ def register_controller(name: str, factory: Factory | str, *, words: str = "", c
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that is neither.
+        For a name that is taken or empty, or a factory that takes no vehicle.
     """
     _registry.add(name, factory)
     _about[name] = About(words) if compiled else About(words, compiled=False, step_time=SLOW_STEP)
 
 
+@checked
 def get_controller(
     name: str,
     vehicle: Vehicle | str,

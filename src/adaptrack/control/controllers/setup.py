@@ -8,7 +8,6 @@ from typing import NamedTuple
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
-from adaptrack.control.controllers.base import known_vehicle
 from adaptrack.control.controllers.belief import Belief, believed
 from adaptrack.control.controllers.informed import UNNAMED
 from adaptrack.control.controllers.limits import Limits
@@ -23,9 +22,9 @@ def world_and_belief(
     Raises
     ------
     InvalidInput
-        For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
+        For a belief that is no `Steering`, or a period that is not positive and finite.
     """
-    car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
+    car, world = vehicle, load_profile(UNNAMED if profile is None else profile)
     step = real(where, "period", world.period if period is None else period)
     if not 0.0 < step < math.inf:
         raise InvalidInput(f"{where}: period = {step!r} s: must be positive and finite.")
@@ -55,7 +54,7 @@ class LoopSetup(NamedTuple):
         Raises
         ------
         InvalidInput
-            For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
+            For a belief that is no `Steering`, or a period that is not positive and finite.
         """
         world, step, known = world_and_belief(where, vehicle, profile, belief, period)
         return cls(

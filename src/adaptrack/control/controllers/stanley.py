@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers.base import Array, Bounds, CompiledController, known_vehicle, steering_delay
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.base.checked import checked
+from adaptrack.cars.vehicle import VehicleArgument
+from adaptrack.control.controllers.base import Array, Bounds, CompiledController, steering_delay
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import stanley as kernel
 from adaptrack.core.synthesis import laws
 
@@ -36,19 +37,20 @@ class Stanley(CompiledController):
         "dead_time": Bounds(0.0, 0.6),
     }
 
+    @checked
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: VehicleArgument,
         *,
         gain: float = 1.0,
         softening: float = 1.0,
         yaw_rate_gain: float = 0.05,
         dead_time: float | None = None,
         period: float = 0.1,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
     ) -> None:
-        self.vehicle = known_vehicle("Stanley", vehicle)
+        self.vehicle = vehicle
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import DECADES, Bounds, CompiledController
-from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers.contract import compile_law
 
 
@@ -35,6 +35,7 @@ class UserController(CompiledController):
         When numba cannot compile the law.
     """
 
+    @checked
     def __init__(
         self,
         law: Callable[..., None],
@@ -45,7 +46,7 @@ class UserController(CompiledController):
         diagnostics: Sequence[str] = (),
         bounds: Mapping[str, tuple[float, float]] | None = None,
         period: float = 0.1,
-        limits: Limits | None = None,
+        limits: LimitsArgument | None = None,
         preview: bool = False,
         label: str = "user",
     ) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED
 from adaptrack.control.controllers import MPC
@@ -19,11 +20,13 @@ from adaptrack.scenario.profile import load_profile
 _DATA = SHIPPED / "schedulers"
 
 
+@checked
 def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
     """`Schedule.save`."""
     schedule.save(path)
 
 
+@checked
 def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     """The schedule in a file, or one that ships with the package, by name (`list_schedulers`).
 

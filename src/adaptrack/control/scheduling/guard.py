@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
-from pydantic import InstanceOf
-
 from adaptrack.base.checked import Count, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY
@@ -53,7 +51,7 @@ class Guard:
         When a rate of the horizons is not whole.
     """
 
-    fallback: InstanceOf[Tuning]
+    fallback: Tuning
     """used while the output is not trusted"""
     rates: tuple[Positive, Positive, Positive] = (5.0, 2.0, 0.3)
     """largest change of Np, of Nc (both whole numbers) and of log10 R/Q from one step to the next"""

@@ -18,7 +18,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import real, reals
+from adaptrack.base.checked import checked, real, reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.control.controllers import Tuning
@@ -295,6 +295,7 @@ def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
     return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + kernel.SCRATCH
 
 
+@checked
 def Constant(tuning: Tuning, name: str = "constant") -> Schedule:
     """The same tuning everywhere."""
     values = dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
@@ -302,6 +303,7 @@ def Constant(tuning: Tuning, name: str = "constant") -> Schedule:
     return Schedule(("speed",), np.array([[0.0, 1000.0]]), entries, name=name)
 
 
+@checked
 def Guarded(schedule: Schedule, fallback: Tuning, *, stability: StabilityMap | None = None, **limits: Any) -> Schedule:
     """`schedule` behind a `Guard`: domain, rate, tracking error and stability are checked at every step."""
     guard = Guard(fallback, stability=stability, **limits)
@@ -310,6 +312,7 @@ def Guarded(schedule: Schedule, fallback: Tuning, *, stability: StabilityMap | N
     return replace(schedule, guard=guard, name=f"{schedule.name} (guarded)")
 
 
+@checked
 def Lookup(
     axes: Mapping[str, ArrayLike], tunings: ArrayLike, method: Literal["nearest", "multilinear"] = "multilinear",
     name: str = "lookup", provenance: Mapping[str, Any] | None = None,
@@ -337,6 +340,7 @@ def Lookup(
     return Schedule(tuple(nodes), domain, entries, name=name, provenance=provenance or {})
 
 
+@checked
 def Learned(
     functions: Mapping[str, Function | float], inputs: Sequence[str], domain: ArrayLike,
     bounds: Mapping[str, tuple[float, float]] | None = None, name: str = "learned",

@@ -10,8 +10,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
-BODY = "kernel."
-"""Prefix of the symbol under which an exported kernel is called by other kernels, by numba's calling convention."""
+from ..kernel import BODY
 
 
 class BuildError(RuntimeError):

@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import library
-from ..kernel import EXPORTED
-from .emission import BODY, TARGETS, BuildError, Target, emit_files, joined
+from ..kernel import BODY, EXPORTED
+from .emission import TARGETS, BuildError, Target, emit_files, joined
 from .header import header
 from .objects import undefined
 from .rules import violations

@@ -18,10 +18,9 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.extending import intrinsic
 
-from ..kernel import EXPORTED
+from ..kernel import BODY, EXPORTED
 from ..member import Member
 from . import operations
-from .emission import BODY
 from .numba_types import WORD, c_types, from_c, numba_type, to_c
 
 _OPTIONS: dict[str, Any] = {

@@ -1,7 +1,7 @@
 """The simulated car: plant parameters, integration steps and outline, from chassis, tyre and steering actuator.
 
     chassis, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
-    delay, dead time           -> dead_periods: `core.loop.SETTINGS.dead_whole` and `dead_share`
+    delay, dead time           -> dead_periods: `core.loop.Settings.dead_whole` and `dead_share`
     body, chassis              -> outline_of
 
 Axes of ISO 8855; stiffness and load are those of one tyre.

@@ -122,7 +122,9 @@ PUBLIC(fmi2SetupExperiment)(ME, fmi2Boolean tolerant, fmi2Real tolerance, fmi2Re
                             fmi2Real stop) {
     fmu *f = me;
     if (!f) return fmi2Error;
-    if (f->mode != FMU_MADE || !(start - start == 0.0)) return (fmi2Status)fmu_refuse(f, "fmi2SetupExperiment");
+    if (f->mode != FMU_MADE || !(start - start == 0.0))
+        return (fmi2Status)fmu_refuse(f, "fmi2SetupExperiment: the start time is %g: it must be finite, and come before "
+                                         "initialization", start);
     f->start = start;
     return fmi2OK;
 }

@@ -62,7 +62,7 @@ typedef void (*fmi3UnlockPreemptionCallback)(void);
         return fmi3OK; \
     }
 
-static fmi3Status lacks(fmi3Instance instance, const char *name) { return (fmi3Status)fmu_refuse(instance, name); }
+static fmi3Status lacks(fmi3Instance instance, const char *name) { return (fmi3Status)fmu_refuse(instance, "%s", name); }
 
 static fmi3Status none(fmi3Instance instance, size_t count) {
     return count == 0 ? fmi3OK : (fmi3Status)fmu_refuse(instance, "there are no values of this type");

@@ -1,7 +1,9 @@
 /* adaptrack: a unit of co-simulation, whichever version of the interface asks. C99 and of its library malloc, free,
-   fopen, fread, fclose. */
+   fopen, fread, fclose, vsnprintf. */
 #include "fmu.h"
 
+#include <float.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,7 +13,8 @@
 
 enum { TIME = 0, PERIOD = 1 };
 enum { FAILED = 1, NO_DELAY = 2 }; /* adaptrack.core.units.contract */
-static const double CLOSE = 1e-3;  /* share of a period by which times of the master may be off */
+static const double CLOSE = 1e-6;  /* share of a period by which times of the master may be off, */
+static const double ROUNDING = 4.0 * DBL_EPSILON; /* and share of a time by which rounding moves it */
 enum { LINE = 64, LONGEST = 100000000 };
 static const char *const SAYS[] = {
     "", "a null pointer or a wrong size", "too little memory", "not initialised", "another thread is in this instance",
@@ -20,20 +23,31 @@ static const char *const SAYS[] = {
     "the state was saved under other constants", "the state was saved on another path",
     "the processor does not round to nearest, or takes subnormal numbers for zero"};
 
-fmu_status fmu_refuse(const fmu *f, const char *text) {
+fmu_status fmu_refuse(const fmu *f, const char *format, ...) {
+    char text[320];
+    va_list values;
+    va_start(values, format);
+    vsnprintf(text, sizeof text, format, values);
+    va_end(values);
     if (f && f->say) f->say(f, FMU_ERROR, text);
     return FMU_ERROR;
 }
 
+/* Time of the present instant, s. */
+static double now(const fmu *f) { return f->start + f->values[TIME]; }
+
 static fmu_status refuse_block(const fmu *f, adaptrack_error status) {
     return status == ADAPTRACK_OK ? FMU_OK
-                                  : fmu_refuse(f, status < sizeof SAYS / sizeof *SAYS ? SAYS[status] : "refused");
+                                  : fmu_refuse(f, "%s", status < sizeof SAYS / sizeof *SAYS ? SAYS[status] : "refused");
 }
 
 static fmu_status refuse_value(const fmu *f, const char *what, uint32_t reference) {
-    char text[160];
-    snprintf(text, sizeof text, "the value with reference %lu %s", (unsigned long)reference, what);
-    return fmu_refuse(f, text);
+    return fmu_refuse(f, "at t = %.15g s the value with reference %lu %s", now(f), (unsigned long)reference, what);
+}
+
+static fmu_status refuse_range(const fmu *f, size_t i) {
+    return fmu_refuse(f, "at t = %.15g s the value with reference %lu is %.9g: it must be finite and from %.9g to %.9g",
+                      now(f), (unsigned long)i, f->values[i], f->least[i], f->most[i]);
 }
 
 /* -- the processor ------------------------------------------------------------------------------------------------ */
@@ -98,7 +112,8 @@ static fmu_status lay(fmu *f) {
     if (status != ADAPTRACK_OK) return refuse_block(f, status);
     f->values = (double *)(uintptr_t)record[0], f->count = (size_t)record[1];
     f->kinds = (const int64_t *)(uintptr_t)record[2];
-    f->mode = FMU_MADE, f->stale = 1, f->start = 0.0;
+    f->least = (const double *)(uintptr_t)record[4], f->most = (const double *)(uintptr_t)record[6];
+    f->mode = FMU_MADE, f->stale = 1, f->start = f->end = 0.0;
     return record[3] == record[1] && f->count > PERIOD && f->values[PERIOD] > 0.0 ? FMU_OK : refuse_block(f, 5);
 }
 
@@ -148,11 +163,11 @@ fmu_status fmu_reset(fmu *f) { return lay(f); }
 /* What a kernel of the unit answered. */
 static fmu_status judged(fmu *f, int64_t status) {
     if (status == 0) return FMU_OK;
-    if (status < 0) return refuse_value(f, "is not finite or out of its range", (uint32_t)(-1 - status));
+    if (status < 0) return refuse_range(f, (size_t)(-1 - status));
     if (status == NO_DELAY)
         return fmu_refuse(f, "parallel_exchange: there is no whole period of delay that the exchange could stand for");
     f->mode = FMU_FAILED;
-    return fmu_refuse(f, "the state is not finite any more");
+    return fmu_refuse(f, "the state is not finite any more at t = %.15g s", now(f));
 }
 
 /* Call one of the unit's kernels. */
@@ -175,8 +190,8 @@ static fmu_status settled(fmu *f) {
 
 fmu_status fmu_initialise(fmu *f, double start) {
     if (f->mode != FMU_MADE) return fmu_refuse(f, "initialised already: reset first");
-    if (!(start - start == 0.0)) return fmu_refuse(f, "the start time is not finite");
-    f->start = start, f->mode = FMU_SETTING;
+    if (!(start - start == 0.0)) return fmu_refuse(f, "the start time is %g: it must be finite", start);
+    f->start = f->end = start, f->mode = FMU_SETTING;
     return FMU_OK;
 }
 
@@ -194,31 +209,44 @@ fmu_status fmu_terminate(fmu *f) {
     return FMU_OK;
 }
 
+/* Whether two times of the master, or two lengths of a step, are one but for rounding. */
+static int same(double a, double b, double time, double period) {
+    double apart = a < b ? b - a : a - b;
+    return apart <= CLOSE * period + ROUNDING * (time < 0.0 ? -time : time);
+}
+
 fmu_status fmu_step(fmu *f, double time, double size) {
-    double period = f->values[PERIOD], now = f->start + f->values[TIME], periods;
-    long count;
-    if (f->mode != FMU_STEPPING) return fmu_refuse(f, "a step before initialization, or after the end");
-    if (!(time - now <= CLOSE * period && now - time <= CLOSE * period))
-        return fmu_refuse(f, "the step does not begin where the last one ended");
-    periods = size / period;
-    if (!(periods > 0.5 && periods < 1e6)) return fmu_refuse(f, "the step is not a whole number of periods");
-    count = (long)(periods + 0.5);
-    if (!(periods - (double)count <= CLOSE && (double)count - periods <= CLOSE))
-        return fmu_refuse(f, "the step is not a whole number of periods: see fixedInternalStepSize");
+    double period = f->values[PERIOD], periods = size / period;
+    long count = periods > 0.5 && periods < 1e6 ? (long)(periods + 0.5) : 0;
+    if (f->mode != FMU_STEPPING)
+        return fmu_refuse(f, "a step at t = %.15g s, before initialization or after the end", time);
+    if (!same(time, f->end, time, period))
+        return fmu_refuse(f, "the step begins at t = %.15g s: it must begin where the last one ended, at %.15g s", time,
+                          f->end);
+    if (count == 0 || !same(size, (double)count * period, time, period))
+        return fmu_refuse(f,
+                          "the step at t = %.15g s is %.15g s long: it must be a whole number of periods, fewer than a "
+                          "million, of %.9g s (fixedInternalStepSize)",
+                          time, size, period);
     for (; count > 0; count--) {
         fmu_status status = run(f, f->unit->step);
         if (status != FMU_OK) return status;
     }
+    f->end = time + size;
     return FMU_OK;
 }
 
 fmu_status fmu_set(fmu *f, uint32_t reference, int type, double value) {
+    const char *wrong = NULL;
     if (reference >= f->count || (f->kinds[reference] & FMU_TYPE) != type)
-        return refuse_value(f, "does not exist, or is of another type", reference);
-    if (!(f->kinds[reference] & (FMU_INPUT | FMU_PARAMETER)))
-        return refuse_value(f, "is computed: it cannot be set", reference);
-    if (f->mode > FMU_STEPPING || (f->mode == FMU_STEPPING && !(f->kinds[reference] & FMU_INPUT)))
-        return refuse_value(f, "cannot be set now", reference);
+        wrong = "it does not exist, or is of another type";
+    else if (!(f->kinds[reference] & (FMU_INPUT | FMU_PARAMETER)))
+        wrong = "it is computed";
+    else if (f->mode > FMU_STEPPING || (f->mode == FMU_STEPPING && !(f->kinds[reference] & FMU_INPUT)))
+        wrong = "not after initialization, or not after the end";
+    if (wrong)
+        return fmu_refuse(f, "at t = %.15g s the value with reference %lu cannot be set to %.9g: %s", now(f),
+                          (unsigned long)reference, value, wrong);
     f->values[reference] = value;
     f->stale = f->mode != FMU_STEPPING;
     return FMU_OK;
@@ -228,22 +256,22 @@ fmu_status fmu_get(fmu *f, uint32_t reference, int type, double *value) {
     if (reference >= f->count || (f->kinds[reference] & FMU_TYPE) != type)
         return refuse_value(f, "does not exist, or is of another type", reference);
     if (f->mode == FMU_SETTING && settled(f) != FMU_OK) return FMU_ERROR;
-    *value = f->values[reference] + (reference == TIME ? f->start : 0.0);
+    *value = reference == TIME ? now(f) : f->values[reference];
     return FMU_OK;
 }
 
-/* -- its state: size, mode, stale, start, CRC-32 of these, then the block's ------------------------------------------ */
+/* -- its state: size, mode, stale, start, end, CRC-32 of these, then the block's ------------------------------------- */
 typedef struct {
     uint64_t size;
     int64_t mode, stale;
-    double start;
+    double start, end;
     uint64_t sum;
 } saved;
 
 size_t fmu_state_size(const fmu *f) { return sizeof(saved) + adaptrack_block_state_size(f->memory); }
 
 fmu_status fmu_save(fmu *f, void *state, size_t size) {
-    saved head = {fmu_state_size(f), (int64_t)f->mode, f->stale, f->start, 0};
+    saved head = {fmu_state_size(f), (int64_t)f->mode, f->stale, f->start, f->end, 0};
     char *rest = (char *)state + sizeof head;
     if (!state || size < head.size) return refuse_block(f, ADAPTRACK_BAD_ARGUMENT);
     head.sum = adaptrack_crc32(&head, offsetof(saved, sum));
@@ -262,6 +290,6 @@ fmu_status fmu_restore(fmu *f, const void *state) {
     status = refuse_block(f, adaptrack_block_restore(&f->unit->reader, f->memory, (const char *)state + sizeof head,
                                                      (size_t)head.size - sizeof head));
     if (status != FMU_OK) return status;
-    f->mode = (fmu_mode)head.mode, f->stale = (int)head.stale, f->start = head.start;
+    f->mode = (fmu_mode)head.mode, f->stale = (int)head.stale, f->start = head.start, f->end = head.end;
     return FMU_OK;
 }

@@ -33,8 +33,10 @@ struct fmu {
     size_t size;
     double *values;
     const int64_t *kinds;
+    const double *least, *most; /* of each parameter and input */
     size_t count; /* of values */
     double start; /* s, time of the first instant */
+    double end;   /* s, at which the last step ended by the master's clock */
     fmu_mode mode;
     int stale; /* values were set since the outputs of the first instant were computed */
     /* the logger of the master, which each version calls in its way */
@@ -59,6 +61,6 @@ fmu_status fmu_get(fmu *, uint32_t reference, int type, double *value);
 size_t fmu_state_size(const fmu *);
 fmu_status fmu_save(fmu *, void *state, size_t size);
 fmu_status fmu_restore(fmu *, const void *state);
-/* FMU_ERROR, and a word to the logger. */
-fmu_status fmu_refuse(const fmu *, const char *text);
+/* FMU_ERROR, and a sentence to the logger, formatted as by printf. */
+fmu_status fmu_refuse(const fmu *, const char *format, ...);
 #endif

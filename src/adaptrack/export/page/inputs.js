@@ -621,7 +621,7 @@ const inputs = (() => {
     let count = 0, repeated = 0;
     rows.cells.forEach((cells, k) => {
       const line = rows.lines[k];
-      const [x, y] = ["x", "y"].map((name) => coordinate(cells, columns, name, rows.comma, line));
+      const [x, y] = ["x", "y"].map((name) => coordinate(cells, columns, name, line));
       if (count > 0 && x === points[2 * count - 2] && y === points[2 * count - 1]) repeated++;
       else {
         points[2 * count] = x;
@@ -637,40 +637,52 @@ const inputs = (() => {
     return lookAlikes(found, columns);
   }
 
-  /** The cells of the lines of numbers, each with its line, and the header. */
+  /** The cells of the lines of numbers, each with its line, and the header; see `read_points` in Python. */
   function rowsOf(text, rules) {
-    const clean = text.replace(/^\uFEFF/, ""), cells = [], lines = [];
-    let header = null, headerLine = 0, separator = null;
+    const clean = text.replace(/^\uFEFF/, ""), cells = [], lines = [], remarks = [];
+    let header = null, blanks = false;
     for (let at = 0, line = 1; at < clean.length; line++) {
       let end = clean.indexOf("\n", at);
       if (end < 0) end = clean.length;
       if (end - at > 10_000) refuse("a line of more than 10,000 characters: this is no table of points.", line);
-      const content = clean.slice(at, end).trim();
+      const content = clean.slice(at, end).trim(), plain = content.replace(/^[#\s]+/, ""), titles = cellsOf(plain);
       at = end + 1;
-      if (content === "") continue;
-      const plainText = content.replace(/^#[#\s]*/, "");
-      separator ??= separatorOf(plainText);
-      const found = plainText.split(separator).map((each) => each.trim().replace(/^"|"$/g, ""));
-      if (content[0] === "#" && (cells.length || !found.some((each) => titleOf(each, rules)))) {
-        if (!cells.length) separator = null;
-        continue;
+      if (plain === "" || (content[0] === "#" && cells.length)) continue;
+      if (content[0] === "#") remarks.push({ line, titles, marked: separatorOf(plain) !== BLANKS });
+      else if (!cells.length && !header && !isNumber(titles[0])) header = { line, titles, commented: false };
+      else {
+        if (cells.length >= rules.most) {
+          refuse(`more than ${rules.most} points: leave out every second, or more.`, line);
+        }
+        cells.push(titles);
+        lines.push(line);
+        blanks = separatorOf(plain) === BLANKS;
       }
-      if (!cells.length && (content[0] === "#" || !header) && !isNumber(found[0])) {
-        [header, headerLine] = [found, line];
-        separator = null;
-        continue;
-      }
-      if (cells.length >= rules.most) refuse(`more than ${rules.most} points: leave out every second, or more.`, line);
-      cells.push(found);
-      lines.push(line);
     }
     if (!cells.length) refuse("no line of numbers: a road is a table of x and y in metres, a point a line.");
-    const comma = separator === ";" && cells[0].some((each) => /^[+-]?\d+,\d+/.test(each));
-    return { header, headerLine, cells, lines, comma };
+    return { header: header ?? commentedHeader(remarks, cells[0].length, blanks, rules), cells, lines };
   }
 
+  /** The commented line that names the columns: the last with x and y, or else the last whose cells are names. */
+  function commentedHeader(remarks, columns, blanks, rules) {
+    const isName = (title) => new RegExp(`^(?:${rules.name})$`).test(plainTitle(title));
+    const headers = remarks.map(({ line, titles, marked }) => {
+      const fits = titles.length === columns, named = titles.map((title) => titleOf(title, rules));
+      const complete = fits && named.includes("x") && named.includes("y");
+      const incomplete = titles.length > 1 && titles.every(isName) && (marked || (fits && blanks));
+      return { line, titles, commented: true, complete, incomplete };
+    });
+    return headers.findLast((each) => each.complete) ?? headers.findLast((each) => each.incomplete) ?? null;
+  }
+
+  const BLANKS = /\s+/;
+
   function separatorOf(content) {
-    return [";", "\t", ","].find((sign) => content.includes(sign)) ?? /\s+/;
+    return [";", "\t", ","].find((sign) => content.includes(sign)) ?? BLANKS;
+  }
+
+  function cellsOf(content) {
+    return content.split(separatorOf(content)).map((cell) => cell.trim().replace(/^"+|"+$/g, ""));
   }
 
   const NO_NUMBER = /^[+-]?(nan|inf(inity)?)$/i, DECIMAL = /^[+-]?(\d+([.,]\d*)?|\.\d+)([eE][+-]?\d+)?$/;
@@ -682,32 +694,30 @@ const inputs = (() => {
   }
 
   /** Which columns hold x and y, and notes. */
-  function columnsOf({ header, headerLine, cells }, rules) {
-    if (!header) {
-      if (cells[0].length < 2) refuse("one column; x and y are needed, separated by a comma, a semicolon or a tab.");
-      const notes = cells[0].length > 2 ? ["Without a header, the first two columns are x and y."] : [];
-      return { x: 0, y: 1, count: cells[0].length, said: false, notes };
-    }
-    const degrees = header.find((title) => rules.degrees.includes(plainTitle(title)));
+  function columnsOf({ header, cells }, rules) {
+    const count = cells[0].length, names = header?.titles ?? rules.without_header[count];
+    if (!names) refuse(`${count} columns without a header; give x,y or ${rules.without_header[4]}, or name them.`);
+    const degrees = names.find((title) => rules.degrees.includes(plainTitle(title)));
     if (degrees) {
       const remedy = "convert them to x (east) and y (north) in metres first";
-      refuse(`column ${shown(degrees)}: latitude and longitude; ${remedy}.`, headerLine);
+      refuse(`column ${shown(degrees)}: latitude and longitude; ${remedy}.`, header.line);
     }
-    const x = columnOf("x", header, headerLine, rules), y = columnOf("y", header, headerLine, rules);
-    const left = header.filter((title, k) => k !== x && k !== y).join(", ");
-    const said = [x, y].some((k) => unitOf(header[k]) === "m");
-    return { x, y, count: header.length, said, notes: left ? [`Columns left out: ${left.slice(0, 200)}.`] : [] };
+    const [x, y] = ["x", "y"].map((name) => columnOf(name, names, header, rules));
+    const left = names.filter((title, k) => k !== x && k !== y).join(", ");
+    const said = [x, y].some((k) => unitOf(names[k]) === "m");
+    return { x, y, count: names.length, said, notes: left ? [`Columns left out: ${left.slice(0, 200)}.`] : [] };
   }
 
-  function columnOf(name, header, line, rules) {
-    const places = [...header.keys()].filter((k) => titleOf(header[k], rules) === name);
+  function columnOf(name, names, header, rules) {
+    const places = [...names.keys()].filter((k) => titleOf(names[k], rules) === name);
     if (places.length !== 1) {
-      const hint = places.length ? "there are two." : didYouMean(name, header);
-      refuse(`one column must be "${name}" or "${name}_m": ${hint}`, line);
+      const hint = places.length ? "there are two." : didYouMean(name, names);
+      const remedy = header.commented ? " If this line is a remark, remove it." : "";
+      refuse(`one column must be "${name}" or "${name}_m": ${hint}${remedy}`, header.line);
     }
-    const title = header[places[0]], unit = unitOf(title), times = unit === "km" ? " (times 1000)" : "";
-    if (unit !== "" && unit !== "m") {
-      refuse(`column ${shown(title)}: metres are needed, not ${shown(unit)}; convert them${times}.`, line);
+    const title = names[places[0]], unit = unitOf(title).toLowerCase(), times = unit === "km" ? " (times 1000)" : "";
+    if (unit !== "" && !rules.units.includes(unit)) {
+      refuse(`column ${shown(title)}: metres are needed, not ${shown(unit)}; convert them${times}.`, header.line);
     }
     return places[0];
   }
@@ -716,10 +726,9 @@ const inputs = (() => {
     return /[[(]\s*([^\])]*?)\s*[\])]/.exec(title)?.[1] ?? (/_m$/.test(plainTitle(title)) ? "m" : "");
   }
 
-  function coordinate(cells, columns, name, comma, line) {
+  function coordinate(cells, columns, name, line) {
     if (cells.length !== columns.count) refuse(`${cells.length} columns, where ${columns.count} are expected.`, line);
-    const cell = cells[columns[name]], text = comma ? cell.replace(",", ".") : cell;
-    const value = isNumber(text) && !text.includes(",") ? Number(text) : NaN;
+    const cell = cells[columns[name]], value = isNumber(cell) ? Number(cell.replace(",", ".")) : NaN;
     if (Number.isFinite(value)) return value;
     return refuse(`${name} = ${shown(cell)} is not a finite number; correct or remove the line.`, line);
   }

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.control.controllers import Tuning
@@ -202,6 +203,7 @@ def find_adaptation(controller: str = "informed", profile: str = "road") -> str:
     )
 
 
+@checked
 def load_adaptation(
     name_or_path: str | os.PathLike[str], *, controller: str | None = None, profile: str | None = None
 ) -> AdaptationConfig:

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, Damaged, read_bytes, safe_name, write_atomically
 from adaptrack.base.shown import figure_of, html_of
@@ -179,6 +180,7 @@ class DataSet:
         write_atomically(path, encode(DATA_SET, self.columns(), about))
 
     @classmethod
+    @checked
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read what `save` or a campaign wrote, bit for bit.
 
@@ -210,6 +212,7 @@ def list_datasets() -> list[str]:
     return sorted(path.stem for path in _DATA.glob("*.parquet"))
 
 
+@checked
 def load_dataset(name_or_path: str | os.PathLike[str]) -> DataSet:
     """A data set by name, from its file, or from the folder of a finished campaign.
 
