@@ -90,6 +90,8 @@ BAD_JSON = [
     ('{"name": "\\u0000"}', r"name = '\\x00': holds a NUL"),
     ('{"mass": 1,\n"x" 2}', r"line 2, column 5: not valid JSON: Expecting ':' delimiter"),
     ("[" * 80 + "]" * 80, "more than 64 tables in one another"),
+    ('{"a": "' + "]" * 5_000 + '",\n"x": ' + "[" * DEEP, "line 2: more than 64 tables in one another"),
+    ('{"mass": 1,\n"x": "' + "[" * 80 + '" 2}', r"line 2, column 89: not valid JSON: Expecting ',' delimiter"),
 ]
 
 

@@ -210,10 +210,11 @@ def _parsed(path: str | os.PathLike[str], language: str, parse: Callable[[str], 
         raise ConfigError(f"{where}, line {line}: not UTF-8 text; save the file as UTF-8.") from error
     try:
         data = parse(text)
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise ConfigError(_syntax_report(where, language, text, str(error))) from error
-    except RecursionError:
-        line = _line(text, _too_deep(text))
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError, RecursionError) as error:
+        position = _too_deep(text)  # first, as the depth that a parser can follow depends on the version of Python
+        if position is None and not isinstance(error, RecursionError):
+            raise ConfigError(_syntax_report(where, language, text, str(error))) from error
+        line = _line(text, position or 0)
         raise ConfigError(f"{where}, line {line}: more than {_DEEPEST} tables in one another; flatten them.") from None
     except ValueError as error:  # Python's limit on the digits of a whole number
         found = re.search(r"[0-9][0-9_]{999,}", text)
@@ -227,14 +228,14 @@ def _line(text: str, position: int) -> int:
     return text.count("\n", 0, position) + 1
 
 
-def _too_deep(text: str) -> int:
-    """The position at which more than `_DEEPEST` brackets are open."""
+def _too_deep(text: str) -> int | None:
+    """The position at which more than `_DEEPEST` brackets outside quotes are open, or None."""
     depth = 0
-    for bracket in re.finditer(r"[\[\]{}]", text):
-        depth += 1 if bracket[0] in "[{" else -1
+    for token in re.finditer(r'"(?:\\.|[^"\\\n])*"|[\[\]{}]', text):
+        depth += (token[0] in "[{") - (token[0] in "]}")
         if depth > _DEEPEST:
-            return bracket.start()
-    return 0
+            return token.start()
+    return None
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
