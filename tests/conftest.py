@@ -27,6 +27,7 @@ import typer.main
 from hypothesis import HealthCheck, settings
 
 from pictures import pictures
+from programs import find_program
 
 settings.register_profile(
     "adaptrack",
@@ -45,6 +46,12 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Pictures are drawn in tests marked `drawn` alone."""
     with pictures(drawn=item.get_closest_marker("drawn") is not None):
         return (yield)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test whose mark `needs` names a program that does not work."""
+    for mark in item.iter_markers("needs"):
+        find_program(mark.args[0])
 
 
 def pytest_collection_finish() -> None:
