@@ -3,10 +3,14 @@
 import json
 import os
 
+import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from adaptrack.base import files
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import (
     Record,
@@ -20,6 +24,7 @@ from adaptrack.base.files import (
     write_atomically,
     write_json,
 )
+from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.scenario import load_scenario
 
 NASTY = [
@@ -155,3 +160,28 @@ def test_a_link_is_replaced_when_asked_for(tmp_path):
     write_atomically(tmp_path / "link", b"new", through_links=False)
     assert (tmp_path / "mine.txt").read_text() == "years of work"
     assert not (tmp_path / "link").is_symlink()
+
+
+# -- Parquet ----------------------------------------------------------------------------------------------------------
+READERS = {
+    "log": lambda file: read_columns(file, Reading()),
+    "data set": lambda file: files.decode_parquet(file.read_bytes(), file, "adaptrack data set", 1, "make it again"),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_table_of_too_many_numbers_is_refused_before_it_is_read(kind, tmp_path, monkeypatch):
+    """A constant column of 800 million rows is 4 MB in a file and 6 GB in memory."""
+    file = tmp_path / "bomb.parquet"
+    pyarrow.parquet.write_table(pyarrow.table({"time": np.zeros(1000), "x": [[1.0, 2.0]] * 1000}), file)
+    monkeypatch.setattr(files, "MAX_NUMBERS", 2999)
+    monkeypatch.setattr(pyarrow.parquet.ParquetFile, "read", lambda *_, **__: pytest.fail("it was read"))
+    with pytest.raises(StorageError, match=r"bomb\.parquet: holds 3,000 numbers, more than 2,999; leave out"):
+        READERS[kind](file)
+
+
+def test_a_log_with_two_columns_of_one_name_is_read(tmp_path):
+    columns = [pyarrow.array([0.0, 0.1]), pyarrow.array([1.0, 1.0]), pyarrow.array([2.0, 2.0])]
+    table = pyarrow.Table.from_arrays(columns, names=["time", "a", "a"])
+    pyarrow.parquet.write_table(table, tmp_path / "twice.parquet")
+    assert list(READERS["log"](tmp_path / "twice.parquet").values["time"]) == [0.0, 0.1]

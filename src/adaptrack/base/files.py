@@ -37,6 +37,8 @@ SHIPPED = Path(__file__).parents[1] / "data"
 
 _LONGEST_NAME = 80  # characters of a file name without its suffix; most file systems allow 255 bytes in all
 _DEEPEST = 64  # tables within tables
+MAX_NUMBERS = 500_000_000
+"""Numbers in a table that is read, 4 GB; a constant column takes some bytes in a file, however long it is."""
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 
 
@@ -415,7 +417,7 @@ def decode_parquet(
         When it is torn or was edited.
     """
     where = os.fspath(where)
-    table = _arrow_table(content, where)
+    table = read_arrow_table(content, where)
     try:
         stored = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     except UnicodeDecodeError as error:
@@ -441,16 +443,30 @@ def decode_parquet(
     return columns, about
 
 
-def _arrow_table(content: bytes, where: str) -> Any:
+def read_arrow_table(content: bytes, where: str) -> Any:
+    """The Arrow table of a Parquet file.
+
+    Raises
+    ------
+    Damaged
+        When it is no Parquet file, or torn.
+    StorageError
+        When it holds more than `MAX_NUMBERS` numbers.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
-        return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+        groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+        size = sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
+        if size <= MAX_NUMBERS:
+            # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
+            return file.read(use_threads=False)
     except Exception as error:  # of a damaged footer Arrow makes almost any of them
         reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
         raise Damaged(f"{where}: not a Parquet file, or damaged: {printable(reason)}.") from error
+    raise StorageError(f"{where}: holds {size:,} numbers, more than {MAX_NUMBERS:,}; leave out rows or columns.")
 
 
 def _checksum(columns: Mapping[str, NDArray[Any]], about: str) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.files import read_bytes
+from adaptrack.base.files import read_arrow_table, read_bytes
 from adaptrack.drive.trajectory import FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -261,19 +261,13 @@ def _table(path: Path) -> tuple[dict[str, Array], float]:
 
 
 def _parquet(path: Path, content: bytes) -> tuple[dict[str, Array], float]:
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        table = pyarrow.parquet.read_table(io.BytesIO(content))
-    except (pyarrow.ArrowException, OSError) as error:
-        raise InvalidInput(f"{path}: cannot be read as Parquet: {error}.") from None
+    table = read_arrow_table(content, str(path))
     if any(FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
         run = Trajectory.load(path)
         names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
         return {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, _computation(run)
-    return {name: _numbers(table.column(name)) for name in table.column_names}, 0.0
+    return {name: _numbers(table.column(i)) for i, name in enumerate(table.column_names)}, 0.0
 
 
 def _computation(run: object) -> float:
