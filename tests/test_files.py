@@ -185,3 +185,18 @@ def test_a_log_with_two_columns_of_one_name_is_read(tmp_path):
     table = pyarrow.Table.from_arrays(columns, names=["time", "a", "a"])
     pyarrow.parquet.write_table(table, tmp_path / "twice.parquet")
     assert list(READERS["log"](tmp_path / "twice.parquet").values["time"]) == [0.0, 0.1]
+
+
+def test_a_log_is_read_without_threads_that_outlive_an_error(tmp_path, monkeypatch):
+    """One that read on while Python exited aborted half of the commands on a log with a line of 20 MB."""
+    threads = []
+
+    def read_csv(source, read_options, **options):
+        threads.append(read_options.use_threads)
+        assert isinstance(source, pyarrow.BufferReader)  # a Python file needs the interpreter that exits
+        return pyarrow.table({"time": [0.0, 1.0]})
+
+    monkeypatch.setattr("pyarrow.csv.read_csv", read_csv)
+    (tmp_path / "log.csv").write_text("time\n0\n1\n")
+    READERS["log"](tmp_path / "log.csv")
+    assert threads == [False]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import re
@@ -300,9 +299,12 @@ def _csv(path: Path, content: bytes) -> dict[str, Array]:
     point = "," if delimiter == ";" and "." not in lines[1] else "."
     try:
         table = pyarrow.csv.read_csv(
-            io.BytesIO("\n".join(lines).encode()), parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            pyarrow.BufferReader("\n".join(lines).encode()),
+            # Without threads: one that still reads after an error, while Python exits, would abort the process.
+            read_options=pyarrow.csv.ReadOptions(use_threads=False),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(decimal_point=point, null_values=list(_NOTHING)),
-        )  # fmt: skip
+        )
     except pyarrow.ArrowException as error:
         raise InvalidInput(f"{path}: not a table: {error}.") from None
     return {name.strip().strip('"'): _numbers(table.column(i)) for i, name in enumerate(table.column_names)}
