@@ -84,6 +84,7 @@ BAD_TOML = [
     ("x = " + "{ a = " * DEEP + "1" + " }" * DEEP, "line 1: more than 64 tables"),
     (".".join(["a"] * DEEP) + " = 1", "a.*: more than 64 tables in one another"),
     ("[" + ".".join(["a"] * DEEP) + "]\nx = 1", "a.*: more than 64 tables in one another"),
+    ("# " + "[" * 80 + "\nmass = 1 2", r"line 2, column \d+: not valid TOML"),
     ("mass = 1\n\nx = " + "7" * 5_000, "line 3: a number with too many digits"),
     ('name = "a\\u0000b"', r"name = 'a\\x00b': holds a NUL or half a character"),
     ('[[box]]\n"k\\u0000" = 1', r"key 'k\\x00': holds a NUL"),

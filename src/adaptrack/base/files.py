@@ -212,9 +212,11 @@ def _parsed(path: str | os.PathLike[str], language: str, parse: Callable[[str], 
         raise ConfigError(f"{where}, line {line}: not UTF-8 text; save the file as UTF-8.") from error
     try:
         data = parse(text)
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(_syntax_report(where, language, text, str(error))) from error
+    except (json.JSONDecodeError, RecursionError) as error:
         position = _too_deep(text)  # first, as the depth that a parser can follow depends on the version of Python
-        if position is None and not isinstance(error, RecursionError):
+        if position is None and isinstance(error, json.JSONDecodeError):
             raise ConfigError(_syntax_report(where, language, text, str(error))) from error
         line = _line(text, position or 0)
         raise ConfigError(f"{where}, line {line}: more than {_DEEPEST} tables in one another; flatten them.") from None

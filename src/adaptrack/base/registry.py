@@ -103,7 +103,8 @@ def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], No
     except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
             raise missing from None
-        reason = printable(traceback.format_exception_only(error)[-1].strip())
+        lines = traceback.format_exception_only(error)  # those of a syntax error's source are indented, notes follow
+        reason = printable(next(line for line in lines if not line.startswith(" ")).strip())
         raise InvalidInput(f"plugin {name}: {_failed_line(error)}: {reason}; correct the module.") from error
 
 
