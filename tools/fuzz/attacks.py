@@ -84,9 +84,12 @@ def execute(command: list[str], folder: Path, stop: signal.Signals | None = None
 
 
 # -- hostile files ----------------------------------------------------------------------------------------------------
-_LOG_COMMANDS = (
-    ("check-loop",), ("shadow", "--vehicle", "midsize-sedan"), ("identify", "--car", "midsize-sedan"),
-)  # fmt: skip
+def _give_files(folder: Path, files: Iterator[Path], *commands: tuple[str, ...]) -> Faults:
+    """Commands, each with every file as its last argument."""
+    for file in files:
+        for command in commands:
+            fault = execute(adaptrack(*command, file.name), folder).fault()
+            yield fault and f"{fault} ({command[0]} {file.name})"
 
 
 def _write_logs(folder: Path) -> Iterator[Path]:
@@ -131,10 +134,8 @@ def _write_logs(folder: Path) -> Iterator[Path]:
 
 def attack_logs(folder: Path, rng: random.Random) -> Faults:
     """Parquet bombs, damaged and foreign tables as logs of `check-loop`, `shadow` and `identify`."""
-    for file in _write_logs(folder):
-        for command in _LOG_COMMANDS:
-            fault = execute(adaptrack(command[0], file.name, *command[1:]), folder).fault()
-            yield fault and f"{fault} ({command[0]} {file.name})"
+    shadow, identify = ("shadow", "--vehicle", "midsize-sedan"), ("identify", "--car", "midsize-sedan")
+    return _give_files(folder, _write_logs(folder), ("check-loop",), shadow, identify)
 
 
 _XODR = """<?xml version="1.0"?>{doctype}
@@ -172,10 +173,7 @@ def _write_roads(folder: Path) -> Iterator[Path]:
 
 def attack_roads(folder: Path, rng: random.Random) -> Faults:
     """XML bombs and endless roads for `road check` and `drive`."""
-    for file in _write_roads(folder):
-        for command in (("road", "check", file.name), ("drive", file.name, "--out", "out")):
-            fault = execute(adaptrack(*command), folder).fault()
-            yield fault and f"{fault} ({command[0]} {file.name})"
+    return _give_files(folder, _write_roads(folder), ("road", "check"), ("drive", "--out", "out"))
 
 
 def attack_fis(folder: Path, rng: random.Random) -> Faults:
