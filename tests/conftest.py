@@ -76,7 +76,7 @@ def project() -> Path:
 def run_python() -> Callable[..., str]:
     """Run code (or interpreter arguments) in a fresh interpreter; its standard output, or its errors in the failure."""
 
-    def run(*arguments: str, code: str | None = None, cwd: Path | None = None, timeout: float = 120.0) -> str:
+    def run(*arguments: str, code: str | None = None, cwd: Path | None = None, timeout: float = 600.0) -> str:
         command = [sys.executable, *(("-c", code) if code is not None else ()), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=timeout, check=False)
         assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stderr}"
