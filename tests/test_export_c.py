@@ -4,7 +4,6 @@ import copy
 import ctypes
 import math
 import os
-import shutil
 import struct
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from adaptrack.export.c_library import export_c, own_target
 from adaptrack.export.recorded import record_drive
 from adaptrack.export.tracking import Twin
 from adaptrack.road import Comfort, plan_speed, road_through
+from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 HERE = Path(__file__).parent
@@ -69,7 +69,7 @@ class Plan(ctypes.Structure):
 
 @pytest.fixture(scope="module", autouse=True)
 def _exports_are_built():
-    exported.compiler()
+    find_program("gcc")
     try:
         library.exported(TARGET)
     except library.UNUSABLE:
@@ -111,7 +111,7 @@ class Exported:
     def __init__(self, folder, controller):
         self.folder, self.controller = folder, controller
         sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / TARGET / "adaptrack_kernels.o"]
-        command = [exported.compiler(), *exported.STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
+        command = [find_program("gcc"), *exported.STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
                    f"-I{folder}/src", *map(str, sources), "-o", str(folder / "tracker.so")]  # fmt: skip
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -490,7 +490,7 @@ def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_
     if os.uname().machine != "x86_64":
         pytest.skip("sets a register of x86-64")
     subprocess.run(
-        [exported.compiler(), "-shared", "-fPIC", str(source), "-o", str(tmp_path / "m.so"), "-lm"], check=True
+        [find_program("gcc"), "-shared", "-fPIC", str(source), "-o", str(tmp_path / "m.so"), "-lm"], check=True
     )
     modes, tracker = ctypes.CDLL(str(tmp_path / "m.so")), begun(made, way)
     for mode in (modes.flushed, modes.rounded):
@@ -509,8 +509,8 @@ def test_the_library_asks_for_nothing_and_writes_nothing_static(library_of):
     (made.folder / "b").mkdir(exist_ok=True)
     for source in (made.folder / "src").glob("*.c"):
         found = made.folder / "b" / f"{source.stem}.o"
-        subprocess.run(["gcc", "-std=c99", "-O2", f"-I{made.folder}/include", "-c", str(source), "-o", str(found)],
-                       check=True)  # fmt: skip
+        options = "-std=c99", "-O2", f"-I{made.folder}/include"
+        subprocess.run([find_program("gcc"), *options, "-c", str(source), "-o", str(found)], check=True)
         sizes = subprocess.run(["size", "-A", str(found)], capture_output=True, text=True, check=True).stdout
         assert all(line.split()[1] == "0" for line in sizes.splitlines() if line.startswith((".data ", ".bss ")))
 
@@ -548,7 +548,7 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
         "        return 1;\n    return answer.status == ADAPTRACK_STATUS_OK && answer.command < 0.0 ? 0 : 2;\n}\n"
     )
     subprocess.run(["make", "-C", str(made.folder), "lib"], check=True, capture_output=True)
-    command = [exported.compiler("g++"), "-std=c++17", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra",
+    command = [find_program("g++"), "-std=c++17", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra",
                "-Wconversion", "-Wpedantic", "-Werror", f"-I{made.folder}/include", str(source),
                str(made.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(tmp_path / "drive")]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True)
@@ -558,7 +558,7 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
 
 @pytest.mark.slow
 def test_cmake_builds_and_proves_it(library_of, tmp_path):
-    exported.compiler("cmake")
+    find_program("cmake")
     made = library_of("informed")
     for command in (["cmake", "-S", str(made.folder), "-B", str(tmp_path)], ["cmake", "--build", str(tmp_path)],
                     ["ctest", "--test-dir", str(tmp_path)]):  # fmt: skip
@@ -636,7 +636,6 @@ def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
     assert {"include/adaptrack.h", "include/adaptrack.hpp", "src/adaptrack.c", "main.c", "constants.bin",
             f"lib/{TARGET}/adaptrack_kernels.o", "CMakeLists.txt", "README.md"} <= names  # fmt: skip
     assert "@" not in (tmp_path / "out" / "README.md").read_text()
-    assert shutil.which("gcc") is not None
 
 
 def test_a_car_of_which_nobody_says_the_steering_leaves_learning(tmp_path):
@@ -673,15 +672,11 @@ def _compile(compiler, sources, place):
 def _emulator(target):
     """The compiler and the command of a target; a test without them is skipped."""
     compiler, runner, *options = EMULATED[target]
-    path = f"{os.environ['PATH']}:/usr/lib/wine"  # where Debian has it
     if compiler == "zig":
         pytest.importorskip("ziglang", reason="needs ziglang: pip install 'adaptrack[link]'")
-    elif shutil.which(compiler) is None:
-        pytest.skip(f"{compiler} is not installed")
-    found = shutil.which(runner, path=path)
-    if found is None:
-        pytest.skip(f"{runner} is not installed")
-    return compiler, [found, *options]
+    else:
+        find_program(compiler)
+    return compiler, [find_program(runner), *options]
 
 
 @pytest.mark.slow

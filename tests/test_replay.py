@@ -10,7 +10,7 @@ from adaptrack.results.drive import write_drive_page
 from browser import Served
 from made_drives import bend, made_drive
 
-pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+pytestmark = pytest.mark.needs("chromium")
 
 INSTANTS = (2.0, 9.13, 17.5)
 

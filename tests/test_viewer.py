@@ -14,7 +14,7 @@ from browser import Served
 from made_drives import bend, made_drive
 from test_replay import COLLECT, NOTHING_ELSE, ask_page
 
-pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+pytestmark = pytest.mark.needs("chromium")
 
 PAGES = Path(__file__).parent / "viewer"
 """What the browser is given."""

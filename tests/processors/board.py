@@ -3,7 +3,6 @@
 ``python -m processors.board`` in ``tests`` prints the numbers of docs/compatibility.md.
 """
 
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from adaptrack.export.c_library import export_c
 from adaptrack.export.recorded import record_drive
 from adaptrack.export.tracking import tracking_block
 from adaptrack.scenario.profile import load_profile
+from programs import try_program
 
 HERE = Path(__file__).parent
 TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc")
@@ -57,8 +57,9 @@ BOARDS = {
 def missing(target, tools=TOOLS):
     """The first of what it takes that is not there; None: nothing."""
     for tool in tools:
-        if shutil.which(tool) is None:
-            return f"{tool} is not installed"
+        reason = try_program(tool)[1]
+        if reason:
+            return reason
     try:
         library.export_of(target)
     except library.UNUSABLE:

@@ -1,4 +1,4 @@
-"""The command: `python -m tools.fuzz run`, `python -m tools.fuzz replay FILE`."""
+"""The command: `python -m tools.fuzz run`, `python -m tools.fuzz attack`, `python -m tools.fuzz replay FILE`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
+from tools.fuzz.attacks import ATTACKS, attack
 from tools.fuzz.batch import search_compiled
 from tools.fuzz.search import Found, load, replay, save, search, shortened
 from tools.fuzz.targets import TARGETS
@@ -57,6 +58,11 @@ def _replay(chosen: argparse.Namespace) -> int:
     return 1
 
 
+def _attack(chosen: argparse.Namespace) -> int:
+    """Attack commands with files, disks and signals; 1 when something failed."""
+    return int(any(attack(chosen.name, chosen.seed).values()))
+
+
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m tools.fuzz", description="Hostile inputs, step after step.")
@@ -68,6 +74,10 @@ def main() -> int:
     run.add_argument("--compiled", action="store_true", help="MPCs inside the kernels: a hundred times as many steps")
     run.add_argument("--out", type=Path, default=Path(), help="folder of the files")
     run.set_defaults(act=_run)
+    attacks = commands.add_parser("attack", help="attack whole commands with files, disks and signals")
+    attacks.add_argument("name", nargs="*", metavar="NAME", help=f"all by default: {', '.join(ATTACKS)}")
+    attacks.add_argument("--seed", type=int, default=1)
+    attacks.set_defaults(act=_attack)
     again = commands.add_parser("replay", help="go through a saved case again")
     again.add_argument("file", type=Path)
     again.set_defaults(act=_replay)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import re
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.files import read_bytes
+from adaptrack.base.files import read_arrow_table, read_bytes
 from adaptrack.drive.trajectory import FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -261,19 +260,13 @@ def _table(path: Path) -> tuple[dict[str, Array], float]:
 
 
 def _parquet(path: Path, content: bytes) -> tuple[dict[str, Array], float]:
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        table = pyarrow.parquet.read_table(io.BytesIO(content))
-    except (pyarrow.ArrowException, OSError) as error:
-        raise InvalidInput(f"{path}: cannot be read as Parquet: {error}.") from None
+    table = read_arrow_table(content, str(path))
     if any(FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
         run = Trajectory.load(path)
         names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
         return {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, _computation(run)
-    return {name: _numbers(table.column(name)) for name in table.column_names}, 0.0
+    return {name: _numbers(table.column(i)) for i, name in enumerate(table.column_names)}, 0.0
 
 
 def _computation(run: object) -> float:
@@ -306,9 +299,12 @@ def _csv(path: Path, content: bytes) -> dict[str, Array]:
     point = "," if delimiter == ";" and "." not in lines[1] else "."
     try:
         table = pyarrow.csv.read_csv(
-            io.BytesIO("\n".join(lines).encode()), parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            pyarrow.BufferReader("\n".join(lines).encode()),
+            # Without threads: one that still reads after an error, while Python exits, would abort the process.
+            read_options=pyarrow.csv.ReadOptions(use_threads=False),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(decimal_point=point, null_values=list(_NOTHING)),
-        )  # fmt: skip
+        )
     except pyarrow.ArrowException as error:
         raise InvalidInput(f"{path}: not a table: {error}.") from None
     return {name.strip().strip('"'): _numbers(table.column(i)) for i, name in enumerate(table.column_names)}
