@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import zlib
@@ -17,11 +16,12 @@ from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
-from adaptrack.control.controllers import Controller
+from adaptrack.control.controllers import MPC, Controller
 from adaptrack.core import library, path, road
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.tracker.records import SAMPLE, TRACKED, LawTracking, Tracker, Tracking
+from adaptrack.export import bounds
 from adaptrack.export.block import Block
 from adaptrack.export.recorded import Recorded, record_drive
 from adaptrack.export.tracking import Room, refuse, step_kernel, tracking_block
@@ -31,7 +31,7 @@ from adaptrack.scenario.profile import Profile, load_profile
 SOURCES = Path(__file__).parent / "c"
 FOLDERS = {
     "include": ("adaptrack.h", "adaptrack.hpp", "adaptrack_error.h"),
-    "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h"),
+    "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h", "adaptrack_bounds.c", "adaptrack_bounds.h"),
     ".": ("main.c", "times.c", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
 }
 """Where the files that are the same for all go."""
@@ -132,7 +132,7 @@ def list_targets(objects: str | os.PathLike[str] | None = None) -> list[str]:
 def _exports(objects: str | os.PathLike[str] | None) -> dict[str, Any]:
     folder = library.BUILT if objects is None else Path(objects)
     try:
-        return dict(json.loads((folder / library.MANIFEST).read_text(encoding="utf-8"))["exports"])
+        return dict(library.manifest(folder)["exports"])
     except library.UNUSABLE:
         return {}
 
@@ -181,8 +181,10 @@ def _texts(
     for folder, names in FOLDERS.items():
         for name in names:
             found[f"{folder}/{name}"] = _filled((SOURCES / name).read_text(encoding="utf-8"), words)
+    kind = Tracking if isinstance(controller, MPC) else LawTracking
     found["include/adaptrack_config.h"] = _config(controller, block)
-    found["src/adaptrack_parts.h"], found["src/adaptrack_parts.c"] = _parts_header(), _parts(controller, block)
+    found["src/adaptrack_parts.h"] = _parts_header(block, kind)
+    found["src/adaptrack_parts.c"] = _parts(controller, block, kind)
     found["src/adaptrack_constants.c"] = _constants(block)
     found["adaptrack_recorded.h"] = _recorded(driven)
     return {name: text.encode() for name, text in found.items()}
@@ -210,6 +212,7 @@ def _config(controller: Controller, block: Block) -> str:
 #define ADAPTRACK_SIZE {block.laid_size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {block.saved_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
+#define ADAPTRACK_MOST_POINTS {MOST_POINTS} /* of a path, and of a plan */
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */
 {suspects}
@@ -229,7 +232,7 @@ def _printable(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /")
 
 
-def _parts_header() -> str:
+def _parts_header(block: Block, kind: Any) -> str:
     """Places in records and rows, as the kernels' own files have them."""
     words = dict(_words("", Tracker, 0))
     shared = dict(_words("", Tracking, 0)), dict(_words("", LawTracking, 0))
@@ -247,13 +250,15 @@ def _parts_header() -> str:
         f"    ADAPTRACK_ROAD_NUMBERS = {len(road.NUMBERS)},",
         f"    ADAPTRACK_PIECE_COLUMNS = {path.COLUMNS},",
         f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
-        f"    ADAPTRACK_MOST_POINTS = {MOST_POINTS}",
     ]
+    numbers = bounds.places(block, kind)
     return "\n".join(
         [
             "/* adaptrack: places in the records of the kernels. Written by adaptrack.export. */",
-            "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_block.h"', "",
-            "enum {", *lines, "};", "",
+            "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_bounds.h"', "",
+            "enum {", *lines, "};", *[f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()], "",
+            "extern const adaptrack_array adaptrack_arrays[];", "extern const adaptrack_bound adaptrack_bounds[];",
+            "extern const adaptrack_initial adaptrack_initials[];", "extern const uint32_t adaptrack_links[];",
             "extern const adaptrack_reader adaptrack_parts;",
             "void adaptrack_parts_step(void *record);", "#endif", "",
         ]
@@ -283,18 +288,19 @@ def words_of(kind: Any) -> int:
     )
 
 
-def _parts(controller: Controller, block: Block) -> str:
-    """Which kernels the constants call."""
+def _parts(controller: Controller, block: Block, kind: Any) -> str:
+    """Which kernels the constants call, and the bounds of their numbers."""
     step, header = step_kernel(controller), block.header
     known = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
-            '#include "adaptrack_parts.h"', "", *known, f"extern void adaptrack_{step}(void *record);", "",
+            '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *known,
+            f"extern void adaptrack_{step}(void *record);", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
-            f"FUNCTIONS, {len(rows)}}};", "",
+            f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",
             f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}(record); }}", "",
         ]
     )  # fmt: skip

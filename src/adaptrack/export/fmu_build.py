@@ -76,7 +76,7 @@ def units_header() -> str:
     rows = "".join(f"    {{{zlib.crc32(each.encode()):#x}u, adaptrack_{each}}},\n" for each in MEMBERS)
     units = "".join(
         f"    {{{{{int(library.kernels_hash(), 16):#x}u, {zlib.crc32(name.encode()):#x}u, MEMBERS, "
-        f"sizeof MEMBERS / sizeof *MEMBERS}}, adaptrack_{begin}, adaptrack_{step}}},\n"
+        f"sizeof MEMBERS / sizeof *MEMBERS, 0}}, adaptrack_{begin}, adaptrack_{step}}},\n"
         for name, (begin, step) in UNITS.items()
     )
     return (

@@ -7,7 +7,7 @@
    -ffast-math on the program that links this may switch them off, which is answered by ADAPTRACK_ARITHMETIC. */
 #ifndef ADAPTRACK_H
 #define ADAPTRACK_H
-#include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _VERSION, the constants */
+#include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _MOST_POINTS, _VERSION, constants */
 #include "adaptrack_error.h"
 
 #include <math.h>
@@ -48,17 +48,19 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
 
 /* -- a path ------------------------------------------------------------------------------------------------------- */
 /* Bytes of memory for a path through points x, y (m), one behind the other: points[0], points[1] are the first.
-   0 where they make none. */
+   0 for fewer than four points, or more than ADAPTRACK_MOST_POINTS (100,000). */
 size_t adaptrack_path_size(const double *points, size_t count, int closed);
 /* Make a path through points without noise, in memory of the caller that is aligned to 8 bytes: a cubic spline, its
-   curvature continuous; a lap if `closed`. ADAPTRACK_TOO_SMALL, or ADAPTRACK_BAD_PATH for fewer than four points, one
-   that comes twice in a row, is not finite or makes a kink; `flaw`, unless null, is then the number of the point. */
+   curvature continuous; a lap if `closed`. ADAPTRACK_TOO_SMALL for the memory. ADAPTRACK_BAD_PATH for fewer than four
+   points, for more than ADAPTRACK_MOST_POINTS (100,000; `flaw` is then their count), and for a point that comes twice
+   in a row, is not finite or makes a kink; `flaw`, unless null, is then the number of the point. */
 adaptrack_error adaptrack_path(const double *points, size_t count, int closed, void *path, size_t path_size,
                                size_t *flaw);
 /* m */
 double adaptrack_path_length(const void *path);
 
-/* A planned speed along a path: s (m) from 0 upwards to its length, speed (m/s). Arrays of the caller. */
+/* A planned speed along a path: s (m) from 0 upwards to its length, speed (m/s). Arrays of the caller.
+   ADAPTRACK_BAD_ARGUMENT for more than ADAPTRACK_MOST_POINTS. */
 typedef struct {
     const double *s;
     const double *speed;
