@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptrack.core import functions, guard, schedule
 from adaptrack.core.controllers import mpc
+from adaptrack.core.controllers.constraints import ROWS
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import Number, int64, size_of
@@ -50,7 +51,9 @@ MPC_PLACES = {
     "estimator": "step.mpc.informed.estimator",
     "estimates": "step.mpc.informed.estimates", "learner": "step.mpc.informed.learner",
     "fresh": "step.mpc.informed.fresh", "learned": "step.mpc.informed.learned", "memory": "step.mpc.memory",
+    "moves": "step.mpc.ws.moves", "rows": "step.mpc.ws.rows",
 }  # fmt: skip
+LAW_PLACES = {"tuning": "tuning"}
 
 
 def _is_open(name: str) -> bool:
@@ -71,11 +74,12 @@ def places(block: Block, kind: Any) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
     of_mpc = kind is Tracking
-    named = PLACES | (MPC_PLACES if of_mpc else {"tuning": "tuning"})
+    named = PLACES | (MPC_PLACES if of_mpc else LAW_PLACES)
     found = {f"AT_{name.upper()}": at[array] for name, array in named.items()}
     found |= {
         "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(of_mpc),
         "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
+        "EQUALS": len(list(_equals(block, kind))),
         "PERIOD_AT": _place(SETTINGS, "period"), "LATE_AT": _place(SETTINGS, "late"),
         "SCHEDULE_N_INPUTS": _place(schedule.SETTINGS, "n_inputs"),
         "SCHEDULE_N_ENTRIES": _place(schedule.SETTINGS, "n_entries"),
@@ -93,7 +97,9 @@ def _mpc_places(block: Block) -> dict[str, int]:
     return {
         "MPC_SETTINGS": len(mpc.Settings._fields), "MPC_SETTINGS_AT": block.words["step.mpc.settings.period"],
         "MPC_COUNTS": len(mpc.Counts._fields), "MPC_ARRAYS": arrays_of(mpc.Mpc), "MEASURED": len(MEASURED),
-        "LONGEST_LAG": LONGEST_LAG,
+        "LONGEST_LAG": LONGEST_LAG, "ROWS": ROWS,
+        **{f"MPC_{name.upper()}": block.words[f"step.mpc.settings.{name}"]
+           for name in ("laguerre", "terms", "longest_horizon", "most_moves")},
         "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(Turning, "lag"),
         **{f"ESTIMATOR_{name.upper()}": _place(kalman.Numbers, name) for name in ("whole", "share", "longest", "late")},
         **{f"LEARNER_{name.upper()}": _place(learning.Numbers, name) for name in ("kept", "hypotheses")},
@@ -118,11 +124,13 @@ def tables(block: Block, kind: Any) -> list[str]:
         for array, word, whole, least, most in _bounds(block, kind)
     ]
     initials = [f"    {{{array}, {word}, UINT64_C({value:#x})}}," for array, word, value in _initials(block)]
+    equals = [f"    {{{', '.join(map(str, words))}}}," for words in _equals(block, kind)]
     links = [f"    {word}, {zlib.crc32(name.encode()):#010x}u," for word, name in block.links.items()]
     return [
         "const adaptrack_array adaptrack_arrays[] = {", *arrays, "};",
         "const adaptrack_bound adaptrack_bounds[] = {", *bounds, "};",
         "const adaptrack_initial adaptrack_initials[] = {", *initials, "};",
+        "const adaptrack_equal adaptrack_equals[] = {", *equals, "};",
         "const uint32_t adaptrack_links[] = {", *links, "};",
     ]  # fmt: skip
 
@@ -142,6 +150,26 @@ def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, flo
             rows = SETTINGS if array.name == "tracker.settings" else schedule.SETTINGS
             for name, word, number in _fields_of(rows.dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
+
+
+def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
+    """Array and word of each number that the block holds twice, and of the other one; `ADAPTRACK_ARRAYS`: the record."""
+    at = {array.name: i for i, array in enumerate(block.arrays)}
+    own = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move")}
+    pairs = [("period", "tracker.check.settings", 0)]
+    if kind is Tracking:
+        pairs += [("period", "step.mpc.informed.estimator", 0), ("period", "step.mpc.informed.learner", 0)]
+        settings = {**dict(zip(own, own, strict=True)), "move": "move_max"}
+        for name, field in settings.items():
+            yield at["tracker.settings"], own[name], len(at), block.words[f"step.mpc.settings.{field}"]
+    else:
+        pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
+        pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
+    for name, array, word in pairs:
+        yield at["tracker.settings"], own[name], at[array], word
+    tuning = (MPC_PLACES if kind is Tracking else LAW_PLACES)["tuning"]
+    for word in range(block.arrays[at[tuning]].sizes[0]):
+        yield at["scheduling.first"], word, at[tuning], word
 
 
 def _bounds_of(name: str, whole: bool, value: int) -> tuple[int, float, float]:

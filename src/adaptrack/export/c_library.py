@@ -258,7 +258,8 @@ def _parts_header(block: Block, kind: Any) -> str:
             "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_bounds.h"', "",
             "enum {", *lines, "};", *[f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()], "",
             "extern const adaptrack_array adaptrack_arrays[];", "extern const adaptrack_bound adaptrack_bounds[];",
-            "extern const adaptrack_initial adaptrack_initials[];", "extern const uint32_t adaptrack_links[];",
+            "extern const adaptrack_initial adaptrack_initials[];", "extern const adaptrack_equal adaptrack_equals[];",
+            "extern const uint32_t adaptrack_links[];",
             "extern const adaptrack_reader adaptrack_parts;",
             "void adaptrack_parts_step(void *record);", "#endif", "",
         ]
@@ -324,7 +325,7 @@ def _recorded(driven: Recorded) -> str:
         ", ".join(f"{word:#x}u" for word in [*_canonical(sample), fingerprint(answer)])
         for sample, answer in zip(driven.samples, driven.answers, strict=True)
     ]
-    size = 64 + 8 * path.path_words(np.ascontiguousarray(driven.points), driven.closed)
+    size = 64 + 8 * path.path_words(np.ascontiguousarray(driven.points), False)
     sets = "},\n    {".join(rows)
     return f"""\
 /* adaptrack: a recorded drive. Written by adaptrack.export. */
@@ -332,10 +333,10 @@ def _recorded(driven: Recorded) -> str:
 
 enum {{
     ADAPTRACK_RECORDED_POINTS = {len(driven.points)},
-    ADAPTRACK_RECORDED_CLOSED = {int(driven.closed)},
     ADAPTRACK_RECORDED_PATH_SIZE = {size}, /* bytes, of adaptrack_path_size */
     ADAPTRACK_RECORDED_PLAN = {driven.plan.s.size},
-    ADAPTRACK_RECORDED_STEPS = {len(rows)}
+    ADAPTRACK_RECORDED_STEPS = {len(rows)},
+    ADAPTRACK_RECORDED_DRIVEN = {driven.driven} /* of the simulated drive, the first ones */
 }};
 /* m: x, y of the path */
 static const double adaptrack_recorded_points[] = {{
@@ -344,10 +345,8 @@ static const double adaptrack_recorded_plan_s[] = {{ /* m */
     {_numbers(driven.plan.s)}}};
 static const double adaptrack_recorded_plan_speed[] = {{ /* m/s */
     {_numbers(driven.plan.speed)}}};
-/* A call each: t, now (s), x, y (m), yaw (rad), speed (m/s), yaw rate (rad/s), lateral velocity (m/s), lateral
-   acceleration (m/s^2), wheel angle (rad), as the bits of doubles; CRC-32 of command, status, offset, heading error and
-   station that Python answered. */
-static const uint64_t adaptrack_recorded[][11] = {{
+/* For each call the bits of an adaptrack_sample, then the CRC-32 of what Python answered. */
+static const uint64_t adaptrack_recorded[][{len(SAMPLE) + 1}] = {{
     {{{sets}}}}};
 """
 
@@ -365,7 +364,7 @@ def _canonical(values: Any) -> list[int]:
 
 def fingerprint(answer: Any) -> int:
     """CRC-32 of an answer, a row of `recorded.ANSWER`, as main.c makes it."""
-    return zlib.crc32(struct.pack("<5Q", *_canonical(answer)))
+    return zlib.crc32(struct.pack(f"<{len(answer)}Q", *_canonical(answer)))
 
 
 def _write(file: Path, content: bytes) -> None:

@@ -3,8 +3,9 @@
    SI units, angles in rad; axes and signs are those of ISO 8855: x forward, y left, yaw and steering positive to the
    left. A number that is not known is NaN. A tracker is memory of the caller, one for each car; nothing else is
    written, allocated or read. Calls on different trackers may run at the same time; a second one on the same tracker
-   answers ADAPTRACK_BUSY. Arithmetic must round to nearest and have subnormal numbers, as processors begin;
-   -ffast-math on the program that links this may switch them off, which is answered by ADAPTRACK_ARITHMETIC. */
+   answers ADAPTRACK_BUSY. Arithmetic must round to nearest and have subnormal numbers, as processors begin. A file that
+   includes this header does not compile with -Ofast or -ffast-math. A program linked with them may switch subnormal
+   numbers off: adaptrack_init, _path, _engage, _follow and _step then return ADAPTRACK_ARITHMETIC. */
 #ifndef ADAPTRACK_H
 #define ADAPTRACK_H
 #include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _MOST_POINTS, _VERSION, constants */
@@ -131,6 +132,8 @@ adaptrack_error adaptrack_restore(void *tracker, const void *state, size_t size)
 
 /* "0.3.0 kernels 0123456789abcdef": constants and states need the same kernels. */
 const char *adaptrack_version(void);
+/* The name of an error, such as "ADAPTRACK_DAMAGED". */
+const char *adaptrack_error_name(adaptrack_error error);
 
 #ifdef __cplusplus
 }

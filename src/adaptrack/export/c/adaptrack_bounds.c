@@ -33,6 +33,11 @@ static content entry_of(const adaptrack_block *b, uint32_t i, int64_t k) {
     return word_at(b, place_of(b, i) + (uint64_t)k);
 }
 
+/* A word of an array, or of the record itself. */
+static content number_of(const adaptrack_block *b, uint32_t array, uint32_t word) {
+    return array < ADAPTRACK_ARRAYS ? entry_of(b, array, word) : word_at(b, word);
+}
+
 /* Words of an array; more than there can be for a size that is none. */
 static uint64_t words_of(const adaptrack_block *b, uint32_t i) {
     uint64_t words = array_of(i)->entry;
@@ -78,15 +83,20 @@ static adaptrack_error check_links(const adaptrack_block *b) {
     return ADAPTRACK_OK;
 }
 
-/* Numbers of the record and its rows within their bounds, all others are numbers. */
+/* Numbers of the record and its rows are within their bounds, what stands there twice is equal, and all others are
+   numbers. */
 static adaptrack_error check_numbers(const adaptrack_block *b) {
     adaptrack_cursor r = adaptrack_block_from(b, b->record);
     for (uint32_t i = 0; i < ADAPTRACK_BOUNDS; i++) {
         const adaptrack_bound *bound = adaptrack_bounds + i;
-        uint32_t place = bound->array < ADAPTRACK_ARRAYS ? place_of(b, bound->array) : 0;
-        content found = word_at(b, (uint64_t)place + bound->word);
+        content found = number_of(b, bound->array, bound->word);
         double number = bound->whole ? (double)found.whole : found.number;
         BOUND(number >= bound->least && number <= bound->most);
+    }
+    for (uint32_t i = 0; i < ADAPTRACK_EQUALS; i++) {
+        const adaptrack_equal *equal = adaptrack_equals + i;
+        if (equal->other_array < ADAPTRACK_ARRAYS && words_of(b, equal->other_array) == 0) continue; /* no such part */
+        BOUND(number_of(b, equal->array, equal->word).bits == number_of(b, equal->other_array, equal->other_word).bits);
     }
     for (uint32_t i = 0; i < ADAPTRACK_ARRAYS; i++) { /* FIXED come before RENEWED, each in the order of the record */
         if (array_of(i)->role == ADAPTRACK_KEPT || array_of(i)->other) continue;
@@ -286,8 +296,32 @@ static adaptrack_error check_starts(const adaptrack_block *b) {
     return ADAPTRACK_OK;
 }
 
+/* M of the QP follows from the moves. */
+static adaptrack_error check_rows(const adaptrack_block *b) {
+    const int64_t horizon = word_at(b, ADAPTRACK_MPC_LONGEST_HORIZON).whole, most = word_at(b, ADAPTRACK_MPC_MOST_MOVES).whole;
+    const int64_t samples = most < horizon ? most : horizon, laguerre = word_at(b, ADAPTRACK_MPC_LAGUERRE).whole;
+    const int64_t columns = laguerre ? word_at(b, ADAPTRACK_MPC_TERMS).whole : samples;
+    const int64_t length = size_of(b, ADAPTRACK_AT_ROWS, 2), steps = size_of(b, ADAPTRACK_AT_MOVES, 1);
+    for (int64_t c = 0; c < columns; c++) {
+        adaptrack_cursor row = adaptrack_block_from(b, place_of(b, ADAPTRACK_AT_ROWS) + (uint32_t)(c * length));
+        double angle = 0.0;
+        for (int64_t i = 0; i < samples; i++) {
+            const double move = laguerre ? entry_of(b, ADAPTRACK_AT_MOVES, c * steps + i).number : (c == i ? 1.0 : 0.0);
+            const double expected[ADAPTRACK_ROWS] = {move, -move, angle + move, -(angle + move)};
+            for (int k = 0; k < ADAPTRACK_ROWS; k++) {
+                content found;
+                found.bits = adaptrack_block_next(&row);
+                BOUND(found.number == expected[k]);
+            }
+            angle += move;
+        }
+    }
+    return ADAPTRACK_OK;
+}
+
 static adaptrack_error check_controller(const adaptrack_block *b) {
     adaptrack_error error = check_mpc_sizes(b);
+    if (error == ADAPTRACK_OK) error = check_rows(b);
     if (error == ADAPTRACK_OK) error = check_memories(b);
     return error == ADAPTRACK_OK ? check_starts(b) : error;
 }

@@ -24,6 +24,11 @@ typedef struct {
     double least, most;
 } adaptrack_bound;
 
+/* A number that the block holds twice; an array beyond the last one is the record itself. */
+typedef struct {
+    uint32_t array, word, other_array, other_word;
+} adaptrack_equal;
+
 /* A word of the state that is not zero before the first step; value 0: the period. */
 typedef struct {
     uint32_t array;
