@@ -1,7 +1,9 @@
-"""Constants of an exported C library, changed in a word, with a right checksum: loaded and driven in a process apart.
+"""Constants of an exported C library, changed and with a right checksum: loaded and driven in a process apart.
 
-Each change is drawn from a seed and a number. The process that drives it may crash or hang; nothing else may go wrong:
-constants are refused, or every command is finite and the memory around the tracker stays as it was.
+`search_constants` draws changes from a seed. The process that drives one may crash or hang, which is counted. Otherwise
+the constants must be refused, or every command be finite and the memory around the tracker stay as it was.
+
+`unnoticed` changes one number after the other by 1 % and drives the recorded minute of the folder.
 """
 
 from __future__ import annotations
@@ -15,9 +17,7 @@ import struct
 import subprocess
 import tempfile
 import zlib
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.export.block import HEADER, PRELUDE
+from adaptrack.core.tracker.records import LawTracking, Tracking
+from adaptrack.export.block import HEADER, PRELUDE, Block
+from adaptrack.export.bounds import numbers_of
 from adaptrack.export.c_library import KERNELS_FILE, export_c, own_target
+from adaptrack.export.tracking import tracking_block
 
 CAR = "midsize-sedan"
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
@@ -113,12 +116,13 @@ def _put(content: bytearray, kind: str, place: int, rng: np.random.Generator) ->
 class Library:
     """An export, linked into a shared library of this process, with a path and what was measured along it."""
 
-    def __init__(self, name: str, folder: Path) -> None:
-        export_c(CONTROLLERS[name](), folder)
+    def __init__(self, controller: Controller, folder: Path) -> None:
+        export_c(controller, folder)
         self.constants = (folder / "constants.bin").read_bytes()
         made = folder / "tracker.so"
-        sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / own_target() / KERNELS_FILE]
-        words = ["-shared", "-fPIC", "-O1", f"-I{folder}/include", *map(str, sources), "-o", str(made)]
+        sources = [*sorted((folder / "src").glob("*.c")), folder / "main.c"]
+        sources += [folder / "lib" / own_target() / KERNELS_FILE]
+        words = ["-shared", "-fPIC", "-O1", f"-I{folder}/include", f"-I{folder}", *map(str, sources), "-o", str(made)]
         done = subprocess.run(["cc", *words], capture_output=True, text=True)
         if done.returncode != 0:
             raise InvalidInput(f"cc does not link {folder}: {done.stderr}")
@@ -148,6 +152,13 @@ class Library:
         nan = ctypes.c_double(math.nan)
         return error or self._call("follow", self.tracker, self.path, nan, None)
 
+    def notices(self, constants: bytes) -> bool:
+        """Whether the recorded minute refuses constants, or differs under them."""
+        differ, answer = ctypes.c_int(0), np.zeros(8)
+        size = ctypes.c_size_t(len(constants))
+        place = answer.ctypes.data_as(ctypes.c_void_p)
+        return self.c.drive_recorded(constants, size, ctypes.byref(differ), place) != 0 or differ.value > 0
+
     def outcome(self, constants: bytes, under_way: bool) -> str:
         """What becomes of constants that a tracker begins with, or gets under way."""
         self.raw[:] = CANARY
@@ -176,31 +187,22 @@ class Library:
 
 
 # -- counts -----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Change:
-    """A change of constants and what became of it."""
-
-    number: int
-    outcome: str
-
-
 def change_of(library: Library, seed: int, number: int) -> bytes:
     """The constants of a change."""
     return changed(library.constants, np.random.default_rng([seed, number]))
 
 
-def search_constants(name: str, count: int, seed: int) -> tuple[Counter[str], list[Change]]:
-    """How many changes had which outcome, and those that must not be."""
+def search_constants(name: str, count: int, seed: int) -> list[str]:
+    """The outcome of each of so many changes."""
     with tempfile.TemporaryDirectory() as folder:
-        library = Library(name, Path(folder) / "export")
+        library = Library(CONTROLLERS[name](), Path(folder) / "export")
         outcomes = mmap.mmap(-1, count + 1)
         number = 0
         while number < count:
             _in_a_child(library, seed, number, count, outcomes)
             while number < count and outcomes[number]:
                 number += 1
-        found = [Change(k, OUTCOMES[outcomes[k] - 1]) for k in range(count)]
-    return Counter(each.outcome for each in found), [each for each in found if each.outcome not in OUTCOMES[:2]]
+        return [OUTCOMES[outcomes[k] - 1] for k in range(count)]
 
 
 def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: mmap.mmap) -> None:
@@ -217,3 +219,49 @@ def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: m
         reached = next(k for k in range(first, count) if not outcomes[k])
         hung = os.WTERMSIG(status) == signal.SIGVTALRM
         outcomes[reached] = 1 + OUTCOMES.index("hung" if hung else "crashed")
+
+
+# -- what the recorded minute notices ---------------------------------------------------------------------------------
+STRONG = (-37.0, 1e-3, 1e3)
+"""Factors on a constant: one that changes no answer under any of them is not read in this configuration."""
+
+
+def unnoticed(name: str) -> tuple[int, dict[str, str]]:
+    """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
+    found, count = {}, 0
+    with tempfile.TemporaryDirectory() as folder:
+        controller = CONTROLLERS[name]()
+        block, library = tracking_block(controller), Library(controller, Path(folder) / "export")
+        places = data_places(block)
+        for constant, word in numbers_of(block, Tracking if isinstance(controller, MPC) else LawTracking):
+            (value,) = struct.unpack_from("<d", block.content, places[word]) if word in places else (0.0,)
+            if value == 0.0 or not math.isfinite(value):
+                continue
+            count += 1
+            if not library.notices(_scaled(block, places, word, 1.01)):
+                read = any(library.notices(_scaled(block, places, word, factor)) for factor in STRONG)
+                found[constant] = "read, but 1 % changes no decision" if read else "not read in this configuration"
+    return count, found
+
+
+def _scaled(block: Block, places: dict[int, int], word: int, factor: float) -> bytes:
+    """The block with a number times a factor; what is learned begins as its twin does."""
+    content, words = bytearray(block.content), [word]
+    fresh = block.words.get("step.mpc.informed.fresh", 0)
+    learned = block.words.get("step.mpc.informed.learned", 0)
+    if 0 < fresh <= word and word - fresh + learned in places and word < block.header.renewed:
+        words.append(word - fresh + learned)
+    for place in words:
+        (value,) = struct.unpack_from("<d", content, places[place])
+        struct.pack_into("<d", content, places[place], value * factor)
+    content[12:16] = struct.pack("<I", zlib.crc32(bytes(content[PRELUDE.size :])))
+    return bytes(content)
+
+
+def data_places(block: Block) -> dict[int, int]:
+    """The byte of the block at which each word of the memory stands; the others are zero."""
+    first, resets, data = _parts(bytearray(block.content))
+    before = 2 * block.header.places + 2 * block.header.links + 3 * block.header.starts
+    runs = np.frombuffer(block.content[first:resets], np.uint32)[before : before + 2 * block.header.runs]
+    words = np.concatenate([np.arange(begin, begin + length) for begin, length in runs.reshape(-1, 2)])
+    return {int(word): data + 8 * i for i, word in enumerate(words)}

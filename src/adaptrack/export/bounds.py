@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from adaptrack.core import functions, guard, schedule
-from adaptrack.core.controllers import mpc
+from adaptrack.core.controllers import lqr, mpc
 from adaptrack.core.controllers.constraints import ROWS
 from adaptrack.core.controllers.feed_forward import Turning
 from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.input_check.record import Settings as CheckSettings
 from adaptrack.core.kernel import Number, int64, size_of
 from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASURED
@@ -56,10 +57,6 @@ MPC_PLACES = {
 LAW_PLACES = {"tuning": "tuning"}
 
 
-def _is_open(name: str) -> bool:
-    return name.startswith(_OPEN) and name not in _CLOSED
-
-
 def _place(kind: Any, *names: str) -> int:
     """The word of a field in a row of a record of numbers."""
     at, dtype = 0, kind.dtype
@@ -67,6 +64,14 @@ def _place(kind: Any, *names: str) -> int:
         dtype, offset = dtype.fields[name][:2]
         at += offset
     return at // 8
+
+
+CHECK_PLACES = {f"CAR_{name.upper()}": _place(CheckSettings, name) for name in ("known", "lf", "lr", "length", "slip")}
+"""Numbers of the check of inputs that the C source compares with those of the tracker."""
+
+
+def _is_open(name: str) -> bool:
+    return name.startswith(_OPEN) and name not in _CLOSED
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
@@ -80,6 +85,8 @@ def places(block: Block, kind: Any) -> dict[str, int]:
         "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(of_mpc),
         "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
         "EQUALS": len(list(_equals(block, kind))),
+        "AT_CAR": at["tracker.check.settings"], **CHECK_PLACES,
+        **{name.upper(): _place(SETTINGS, name) for name in ("drift_load", "drift_stiffness")},
         "PERIOD_AT": _place(SETTINGS, "period"), "LATE_AT": _place(SETTINGS, "late"),
         "SCHEDULE_N_INPUTS": _place(schedule.SETTINGS, "n_inputs"),
         "SCHEDULE_N_ENTRIES": _place(schedule.SETTINGS, "n_entries"),
@@ -135,6 +142,20 @@ def tables(block: Block, kind: Any) -> list[str]:
     ]  # fmt: skip
 
 
+def numbers_of(block: Block, kind: Any) -> Iterator[tuple[str, int]]:
+    """Name and word of every constant that is a double."""
+    yield from ((name, word) for name, word, whole in _numbers_of("", kind, block.words) if not whole)
+    for array in block.arrays:
+        first = block.words[array.name]
+        if array.role is Role.KEPT or array.kind == "i":
+            continue
+        if array.kind == "f":
+            yield from ((f"{array.name}[{k}]", first + k) for k in range(array.values.size))
+        else:
+            fields = _fields_of(_rows_of(array.name).dtype, 0)
+            yield from ((f"{array.name}.{name}", first + word) for name, word, whole in fields if not whole)
+
+
 def _number(value: float) -> str:
     return f"{'-' if value < 0 else ''}HUGE_VAL" if math.isinf(value) else repr(float(value))
 
@@ -147,20 +168,25 @@ def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, flo
             yield len(block.arrays), word, *_bounds_of(name, number, block.record[word])
     for i, array in enumerate(block.arrays):
         if array.kind == "V" and array.role is not Role.KEPT:
-            rows = SETTINGS if array.name == "tracker.settings" else schedule.SETTINGS
-            for name, word, number in _fields_of(rows.dtype, 0):
+            for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
+        elif array.name == "law.parameters" and "lqr" in block.functions:
+            for word in map(lqr.PARAMETERS.index, ("speeds", "weights")):  # of its grid of gains
+                count = float(array.values.view(np.float64)[word])
+                yield i, word, 0, count, count
 
 
 def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
-    """Array and word of each number that the block holds twice, and of the other one; `ADAPTRACK_ARRAYS`: the record."""
+    """Array and word of each number that a block holds twice, and of its other place.
+
+    Behind the last array comes the record itself.
+    """
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    own = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move")}
-    pairs = [("period", "tracker.check.settings", 0)]
+    own = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")}
+    pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
     if kind is Tracking:
         pairs += [("period", "step.mpc.informed.estimator", 0), ("period", "step.mpc.informed.learner", 0)]
-        settings = {**dict(zip(own, own, strict=True)), "move": "move_max"}
-        for name, field in settings.items():
+        for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
             yield at["tracker.settings"], own[name], len(at), block.words[f"step.mpc.settings.{field}"]
     else:
         pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
@@ -170,6 +196,11 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
     tuning = (MPC_PLACES if kind is Tracking else LAW_PLACES)["tuning"]
     for word in range(block.arrays[at[tuning]].sizes[0]):
         yield at["scheduling.first"], word, at[tuning], word
+
+
+def _rows_of(name: str) -> Any:
+    """The record of an array of rows."""
+    return SETTINGS if name == "tracker.settings" else schedule.SETTINGS
 
 
 def _bounds_of(name: str, whole: bool, value: int) -> tuple[int, float, float]:

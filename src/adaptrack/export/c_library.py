@@ -109,7 +109,7 @@ def export_c(
     way = load_road(road) if isinstance(road, str) else road
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     speed = plan_speed(way, controller.vehicle) if plan is None else plan
-    driven = record_drive(controller, driven_car, way, speed, world)
+    driven = record_drive(controller, driven_car, way, speed, world, furthest=furthest)
     name = next(iter(files))
     texts = _texts(controller, block, driven, name, tuple(files))
     target = Path(folder)

@@ -111,6 +111,18 @@ static adaptrack_error check_numbers(const adaptrack_block *b) {
     return ADAPTRACK_OK;
 }
 
+static double car_of(const adaptrack_block *b, int64_t field) { return entry_of(b, ADAPTRACK_AT_CAR, field).number; }
+
+/* The numbers of the car in the check of the inputs are those of the tracker. */
+static adaptrack_error check_car(const adaptrack_block *b) {
+    const double load = entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_DRIFT_LOAD).number, slip = car_of(b, ADAPTRACK_CAR_SLIP);
+    const double expected = load / entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_DRIFT_STIFFNESS).number;
+    BOUND(car_of(b, ADAPTRACK_CAR_KNOWN) == 1.0);
+    BOUND(car_of(b, ADAPTRACK_CAR_LENGTH) == car_of(b, ADAPTRACK_CAR_LF) + car_of(b, ADAPTRACK_CAR_LR));
+    BOUND(slip > 0.0 && expected < slip * (1.0 + 1e-9) && expected > slip * (1.0 - 1e-9));
+    return ADAPTRACK_OK;
+}
+
 /* The state is that before the first step. */
 static adaptrack_error check_state(const adaptrack_block *b, uint32_t learned, uint32_t learned_end) {
     adaptrack_cursor r = adaptrack_block_from(b, b->kept);
@@ -336,6 +348,7 @@ adaptrack_error adaptrack_check_bounds(const adaptrack_block *b) {
     adaptrack_error error = check_places(b);
     if (error == ADAPTRACK_OK) error = check_links(b);
     if (error == ADAPTRACK_OK) error = check_numbers(b);
+    if (error == ADAPTRACK_OK) error = check_car(b);
     if (error == ADAPTRACK_OK) error = check_controller(b);
     if (error == ADAPTRACK_OK) error = check_schedule(b);
 #if ADAPTRACK_OF_MPC

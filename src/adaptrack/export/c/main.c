@@ -31,13 +31,13 @@ static uint32_t fingerprint(const adaptrack_answer *answer) {
     return crc32_of(bytes, sizeof bytes);
 }
 
-int main(void) {
-    adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
-    adaptrack_answer answer;
-    adaptrack_error error;
-    int differ = 0;
+/* Drive the recorded minute under some constants, and count the calls that differ; the last answer. */
+adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, adaptrack_answer *answer);
 
-    error = adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE);
+adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, adaptrack_answer *answer) {
+    const adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
+    adaptrack_error error = adaptrack_init(&tracker, sizeof tracker, constants, size);
+    *differ = 0;
     if (error == ADAPTRACK_OK)
         error = adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path, sizeof path, 0);
     if (error == ADAPTRACK_OK) error = adaptrack_engage(&tracker, 0.0, NAN);
@@ -45,9 +45,16 @@ int main(void) {
     for (int k = 0; k < ADAPTRACK_RECORDED_STEPS && error == ADAPTRACK_OK; k++) {
         adaptrack_sample sample;
         memcpy(&sample, adaptrack_recorded[k], sizeof sample);
-        error = adaptrack_step(&tracker, &sample, &answer);
-        if (error == ADAPTRACK_OK && fingerprint(&answer) != (uint32_t)adaptrack_recorded[k][12]) differ++;
+        error = adaptrack_step(&tracker, &sample, answer);
+        if (error == ADAPTRACK_OK && fingerprint(answer) != (uint32_t)adaptrack_recorded[k][12]) ++*differ;
     }
+    return error;
+}
+
+int main(void) {
+    adaptrack_answer answer;
+    int differ;
+    adaptrack_error error = drive_recorded(adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE, &differ, &answer);
     if (error != ADAPTRACK_OK) {
         printf("%s, error %d of adaptrack_error.h\n", adaptrack_error_name(error), (int)error);
         return 2;
