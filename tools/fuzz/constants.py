@@ -222,6 +222,7 @@ def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: m
 
 
 # -- what the recorded minute notices ---------------------------------------------------------------------------------
+NOT_READ, TOO_WEAK = "not read in this configuration", "read, but 1 % changes no decision"
 STRONG = (-37.0, 1e-3, 1e3)
 """Factors on a constant: one that changes no answer under any of them is not read in this configuration."""
 
@@ -240,7 +241,7 @@ def unnoticed(name: str) -> tuple[int, dict[str, str]]:
             count += 1
             if not library.notices(_scaled(block, places, word, 1.01)):
                 read = any(library.notices(_scaled(block, places, word, factor)) for factor in STRONG)
-                found[constant] = "read, but 1 % changes no decision" if read else "not read in this configuration"
+                found[constant] = TOO_WEAK if read else NOT_READ
     return count, found
 
 

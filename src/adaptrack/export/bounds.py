@@ -20,7 +20,7 @@ from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.tracker.records import MEMORY, SETTINGS, Tracking
 from adaptrack.core.variables import VARIABLES
-from adaptrack.export.block import Block, Role
+from adaptrack.export.block import ArrayLayout, Block, Role
 
 LONGEST_LAG = 10
 """s, of a steering in constants."""
@@ -28,14 +28,15 @@ _FLAG, _PLACE = (0, 1), (0, 2**31 - 1)
 BOUNDS: dict[str, tuple[float, float]] = {
     "laguerre": _FLAG, "preview": _FLAG, "informed": _FLAG, "curved": (1, 1), "feeds_forward": _FLAG, "learns": _FLAG,
     "residuals": _FLAG, "terms": (1, 1000), "longest_horizon": (1, 1000), "most_moves": (1, 1000), "solver": (0, 3),
-    "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-3, 10.0), "delay": (0.0, 1000.0),
-    "speed_floor": (0.01, 100.0), "move": (0.0, 10.0), "late": (0, 1000), "filtered": _FLAG,
-    "angle_min": (-10.0, 10.0), "angle_max": (-10.0, 10.0), "furthest": (0.0, 1e6),
+    "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-4, 10.0), "delay": (0.0, 1000.0),
+    "speed_floor": (0.01, 100.0), "late": (0, 1000), "filtered": _FLAG,
     "n_inputs": (0, len(VARIABLES)), "n_entries": (0, guard.MOST_ENTRIES), "of_mpc": _FLAG,
     "place": (0, len(VARIABLES) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
 """Of numbers of the record and of its rows, by their names; others are any number, and whole ones as exported."""
+_WITH_NAN = ("step.mpc.informed.fresh", "scheduling.schedule.numbers")
+"""Arrays of numbers that may be NaN: samples that were missing, cells of a map without a margin."""
 _OPEN = ("step.", "scheduling.")
 """Arrays whose sizes follow from numbers: the C source checks them against those."""
 _CLOSED = ("step.now", "step.reference", "step.tuning", "scheduling.schedule.settings", "scheduling.variables",
@@ -68,6 +69,11 @@ def _place(kind: Any, *names: str) -> int:
 
 CHECK_PLACES = {f"CAR_{name.upper()}": _place(CheckSettings, name) for name in ("known", "lf", "lr", "length", "slip")}
 """Numbers of the check of inputs that the C source compares with those of the tracker."""
+
+
+def _is_of_numbers(array: ArrayLayout) -> bool:
+    """Whether it holds doubles of which none may be NaN."""
+    return array.kind == "f" and array.name not in _WITH_NAN
 
 
 def _is_open(name: str) -> bool:
@@ -113,6 +119,10 @@ def _mpc_places(block: Block) -> dict[str, int]:
         "ESTIMATES_LEAST": kalman.memory_size(0, 0),
         "ESTIMATES_LONGEST": kalman.memory_size(1, 0) - kalman.memory_size(0, 0),
         "ESTIMATES_LATE": kalman.memory_size(0, 1) - kalman.memory_size(0, 0),
+        "LEARNED_STATE": _place(learning.Memory, "beliefs", "belief_state"),
+        "LEARNED_AT_BOUND": _place(learning.Memory, "beliefs", "belief_at_bound"),
+        "HYPOTHESIS_DEAD_TIME": _place(learning.Hypothesis, "x") + learning.DEAD_TIME,
+        "MOST_STATE": learning.CONTRADICTORY, "MOST_BOUND": len(learning.QUANTITIES_BOUNDED),
         "LEARNED_LEAST": learning.memory_size(0, 0),
         "LEARNED_HYPOTHESIS": learning.memory_size(0, 1) - learning.memory_size(0, 0),
     }  # fmt: skip
@@ -122,7 +132,7 @@ def _mpc_places(block: Block) -> dict[str, int]:
 def tables(block: Block, kind: Any) -> list[str]:
     """Lines of C: arrays, bounds, words of the first state and links."""
     arrays = [
-        f"    {{{array.word}, {len(array.sizes)}, {array.entry}, {int(array.role)}, {int(array.kind != 'f')}, "
+        f"    {{{array.word}, {len(array.sizes)}, {array.entry}, {int(array.role)}, {int(not _is_of_numbers(array))}, "
         f"{int(_is_open(array.name))}, {{{', '.join(map(str, array.sizes))}}}}},"
         for array in block.arrays
     ]

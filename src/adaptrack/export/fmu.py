@@ -160,12 +160,14 @@ def binaries() -> dict[str, Any]:
         When there are none of these kernels.
     """
     try:
-        built: dict[str, Any] = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        built = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
+        current = built["kernels"] == library.kernels_hash() and built["sources"] == fmu_build.sources_hash()
+        found = {name: {"sha256": str(entry["sha256"])} for name, entry in built["binaries"].items()}
+    except (*library.UNUSABLE, RecursionError):
         raise InvalidInput(f"export fmu: there are no binaries for FMUs in this installation; {REMEDY}") from None
-    if built["kernels"] != library.kernels_hash() or built["sources"] != fmu_build.sources_hash():
+    if not current:
         raise InvalidInput(f"export fmu: sources have been edited since the binaries for FMUs were built; {REMEDY}")
-    return dict(built["binaries"])
+    return found
 
 
 # -- the description --------------------------------------------------------------------------------------------------

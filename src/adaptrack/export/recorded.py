@@ -48,6 +48,8 @@ CLOSE = 0.25
 """m, between the points of the two tight bends."""
 
 
+FURTHEST = 20.0
+"""m, from the path, at most"""
 SLOW = 2.5
 """m/s, the planned speed in them."""
 
@@ -155,7 +157,7 @@ def record_drive(
     driven = len(driver.samples)
     if driven == 0:
         raise InvalidInput(f"export: the road {road.name!r} is too short to be driven.")
-    weaves = [stretch._replace(offset=min(stretch.offset, 1.005 * furthest)) for stretch in STRETCHES]
+    weaves = [stretch._replace(offset=min(stretch.offset, 1.005 * min(furthest, FURTHEST))) for stretch in STRETCHES]
     for sample in _wild(weaves, longer, path.length, controller, driver.samples[-1][1], np.random.default_rng(seed)):
         driver.call(sample)
     return Recorded(points, driver.plan, np.array(driver.samples), np.array(driver.answers), driven, failed)

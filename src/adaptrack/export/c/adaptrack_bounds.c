@@ -267,9 +267,29 @@ static adaptrack_error check_mpc_sizes(const adaptrack_block *b) {
     return ADAPTRACK_OK;
 }
 
+/* What was learned: samples that may be missing, then commands and hypotheses that may not. */
+static adaptrack_error check_learned(const adaptrack_block *b, int64_t kept, int64_t hypotheses) {
+    adaptrack_cursor r = adaptrack_block_from(b, place_of(b, ADAPTRACK_AT_FRESH) + ADAPTRACK_LEARNED_LEAST);
+    BOUND(within(counted(b, ADAPTRACK_AT_FRESH, ADAPTRACK_LEARNED_STATE), 0, ADAPTRACK_MOST_STATE));
+    BOUND(within(counted(b, ADAPTRACK_AT_FRESH, ADAPTRACK_LEARNED_AT_BOUND), 0, ADAPTRACK_MOST_BOUND));
+    for (int64_t i = kept + hypotheses * ADAPTRACK_LEARNED_HYPOTHESIS; i > 0; i--) {
+        content found;
+        found.bits = adaptrack_block_next(&r);
+        BOUND(found.number == found.number);
+    }
+    for (int64_t i = 0; i < hypotheses; i++) {
+        const int64_t at = ADAPTRACK_LEARNED_LEAST + kept + i * ADAPTRACK_LEARNED_HYPOTHESIS;
+        const double dead_time = entry_of(b, ADAPTRACK_AT_FRESH, at + ADAPTRACK_HYPOTHESIS_DEAD_TIME).number;
+        BOUND(dead_time >= 0.0 && dead_time <= ADAPTRACK_LONGEST_LAG);
+    }
+    return ADAPTRACK_OK;
+}
+
 /* Estimator and learner remember as much as their own counts ask for. */
 static adaptrack_error check_memories(const adaptrack_block *b) {
     const int64_t late = entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_LATE_AT).whole;
+    for (int64_t i = 0; i < size_of(b, ADAPTRACK_AT_STATES, 0); i++)
+        BOUND(within(entry_of(b, ADAPTRACK_AT_STATES, i).whole, 0, ADAPTRACK_MEASURED - 1));
     if (size_of(b, ADAPTRACK_AT_ESTIMATOR, 0) > 0) {
         const int64_t longest = counted(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_LONGEST);
         const int64_t again = counted(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_LATE);
@@ -285,9 +305,8 @@ static adaptrack_error check_memories(const adaptrack_block *b) {
         BOUND(kept >= 2 && hypotheses >= 1);
         BOUND(size_of(b, ADAPTRACK_AT_FRESH, 0) ==
               ADAPTRACK_LEARNED_LEAST + kept + hypotheses * ADAPTRACK_LEARNED_HYPOTHESIS);
+        return check_learned(b, kept, hypotheses);
     }
-    for (int64_t i = 0; i < size_of(b, ADAPTRACK_AT_STATES, 0); i++)
-        BOUND(within(entry_of(b, ADAPTRACK_AT_STATES, i).whole, 0, ADAPTRACK_MEASURED - 1));
     return ADAPTRACK_OK;
 }
 

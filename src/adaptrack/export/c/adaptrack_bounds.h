@@ -11,7 +11,7 @@ typedef struct {
     uint32_t sizes; /* how many */
     uint32_t entry; /* words of an entry */
     uint32_t role;
-    uint32_t other; /* 1: whole numbers or rows, 0: doubles */
+    uint32_t other; /* 0: doubles, none of them NaN; 1: whole numbers, rows, or doubles with NaN among them */
     uint32_t open;  /* 1: the sizes follow from numbers, 0: they are `size` */
     uint32_t size[ADAPTRACK_SIZES];
 } adaptrack_array;
