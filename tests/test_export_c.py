@@ -2,6 +2,7 @@
 
 import copy
 import ctypes
+import functools
 import math
 import os
 import shutil
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tools.fuzz.constants import CONTROLLERS as FUZZED
-from tools.fuzz.constants import NOT_READ, data_places, search_constants, unnoticed
+from tools.fuzz.constants import NOT_READ, Library, data_places, search_constants, unnoticed
 from typer.testing import CliRunner
 
 import adaptrack as at
@@ -23,10 +24,11 @@ import exported
 from adaptrack.cli.app import app
 from adaptrack.control.tracker import Tracker
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.kernel import INTERPRETED, direct
+from adaptrack.core.tracker.step import tracker_step
 from adaptrack.export.c_library import export_c, own_target
 from adaptrack.export.recorded import record_drive
-from adaptrack.export.tracking import Twin, tracking_block
+from adaptrack.export.tracking import Twin, small_record_of, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
@@ -394,21 +396,39 @@ def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checks
     assert (driving.raw == before).all()
 
 
-def test_constants_changed_at_random_under_a_right_checksum_neither_crash_nor_hang():
-    assert set(search_constants("informed", 100, seed=1)) == {"driven", "refused"}
+@pytest.fixture(scope="module")
+def fuzzed(folder):
+    """Exports as the tool for constants drives them, by name; each is made once."""
+    return functools.cache(lambda name: Library(FUZZED[name](), folder / f"fuzzed-{name}"))
+
+
+def test_constants_changed_at_random_under_a_right_checksum_neither_crash_nor_hang(fuzzed):
+    assert set(search_constants(fuzzed("informed"), 100, seed=1)) == {"driven", "refused"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FUZZED)
-def test_thousands_of_changes_under_a_right_checksum_neither_crash_nor_hang(name):
-    assert set(search_constants(name, 3000, seed=5)) == {"driven", "refused"}
+def test_thousands_of_changes_under_a_right_checksum_neither_crash_nor_hang(name, fuzzed):
+    assert set(search_constants(fuzzed(name), 3000, seed=5)) == {"driven", "refused"}
 
 
-@pytest.mark.parametrize("name", ["informed", pytest.param("learning", marks=pytest.mark.slow), "stanley"])
-def test_the_recorded_minute_notices_nine_of_ten_constants_that_are_read(name):
-    count, missed = unnoticed(name)
+@pytest.mark.parametrize("name", ["informed", "stanley", pytest.param("learning", marks=pytest.mark.slow)])
+def test_the_recorded_minute_notices_nine_of_ten_constants_that_are_read(name, fuzzed):
+    count, missed = unnoticed(fuzzed(name))
     read = count - list(missed.values()).count(NOT_READ)
     assert count - len(missed) >= 0.9 * read, missed
+
+
+def test_a_lag_that_is_learned_to_be_long_changes_no_bit():
+    """The road ahead is known as far as in Python, where there is room for the longest horizons."""
+    mpc, road = at.MPC(at.vehicle_from_data_sheet("mine", 1450.0, 2.65)), at.generate_road("country", seed=1)
+    drive = record_drive(mpc, at.DualTrack(mpc.vehicle), road, plan_speed(road, mpc.vehicle), at.load_profile("road"))
+    record = small_record_of(mpc, road_through(drive.points), drive.plan)
+    run = direct(tracker_step, record)
+    for sample, answer in zip(drive.samples, drive.answers, strict=True):
+        record.tracker.sample[:] = sample
+        run()
+        assert np.array_equal(record.tracker.tracked, answer, equal_nan=True)
 
 
 # -- calls that are wrong ---------------------------------------------------------------------------------------------

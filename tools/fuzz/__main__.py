@@ -1,14 +1,16 @@
-"""The command: `python -m tools.fuzz run`, `python -m tools.fuzz replay FILE`."""
+"""The command: `python -m tools.fuzz run`, `replay FILE` or `constants`."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
+from tools.fuzz import constants
 from tools.fuzz.batch import search_compiled
 from tools.fuzz.search import Found, load, replay, save, search, shortened
 from tools.fuzz.targets import TARGETS
@@ -57,6 +59,23 @@ def _replay(chosen: argparse.Namespace) -> int:
     return 1
 
 
+def _constants(chosen: argparse.Namespace) -> int:
+    """Change the constants of exported C libraries; 1 where one is wrong, crashes or hangs."""
+    failed = 0
+    for name in chosen.controller or constants.CONTROLLERS:
+        with tempfile.TemporaryDirectory() as folder:
+            library = constants.Library(constants.CONTROLLERS[name](), Path(folder) / "export")
+            outcomes = constants.search_constants(library, chosen.count, chosen.seed)
+            print(f"{name}: {', '.join(f'{outcomes.count(each)} {each}' for each in constants.OUTCOMES)}", flush=True)
+            failed += sum(outcome not in constants.ACCEPTED for outcome in outcomes)
+            if not chosen.unnoticed:
+                continue
+            count, missed = constants.unnoticed(library)
+            print(f"  {len(missed)} of {count} constants may change by 1 % in the recorded minute:")
+            print("".join(f"    {constant}: {why}\n" for constant, why in missed.items()), end="")
+    return int(failed > 0)
+
+
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m tools.fuzz", description="Hostile inputs, step after step.")
@@ -71,6 +90,12 @@ def main() -> int:
     again = commands.add_parser("replay", help="go through a saved case again")
     again.add_argument("file", type=Path)
     again.set_defaults(act=_replay)
+    change = commands.add_parser("constants", help="change the constants of exported C libraries")
+    change.add_argument("--count", type=int, default=1000, help="changes of each controller")
+    change.add_argument("--seed", type=int, default=1)
+    change.add_argument("--controller", action="append", choices=constants.CONTROLLERS, help="all by default")
+    change.add_argument("--unnoticed", action="store_true", help="list the constants that the recorded minute misses")
+    change.set_defaults(act=_constants)
     chosen = parser.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.CRITICAL)
     try:

@@ -15,7 +15,6 @@ import os
 import signal
 import struct
 import subprocess
-import tempfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -51,7 +50,8 @@ TIME_LIMIT = 2.0
 MARGIN = 64
 """Words before and behind the tracker, which nothing may write to."""
 CANARY = 0xA5A5A5A5A5A5A5A5
-OUTCOMES = ("driven", "refused", "wrong", "crashed", "hung")
+ACCEPTED = ("driven", "refused")
+OUTCOMES = (*ACCEPTED, "wrong", "crashed", "hung")
 SPECIAL = (0, 1, 2, 3, 8, 100, 1 << 31, 1 << 40, 1 << 62, (1 << 64) - 1, (1 << 64) - 100)
 """Words that are counts, places or flags of nothing."""
 FACTORS = (1.01, 2.0, 10.0, -1.0, 1e6, 1e-6)
@@ -118,6 +118,7 @@ class Library:
 
     def __init__(self, controller: Controller, folder: Path) -> None:
         export_c(controller, folder)
+        self.controller = controller
         self.constants = (folder / "constants.bin").read_bytes()
         made = folder / "tracker.so"
         sources = [*sorted((folder / "src").glob("*.c")), folder / "main.c"]
@@ -192,17 +193,15 @@ def change_of(library: Library, seed: int, number: int) -> bytes:
     return changed(library.constants, np.random.default_rng([seed, number]))
 
 
-def search_constants(name: str, count: int, seed: int) -> list[str]:
+def search_constants(library: Library, count: int, seed: int) -> list[str]:
     """The outcome of each of so many changes."""
-    with tempfile.TemporaryDirectory() as folder:
-        library = Library(CONTROLLERS[name](), Path(folder) / "export")
-        outcomes = mmap.mmap(-1, count + 1)
-        number = 0
-        while number < count:
-            _in_a_child(library, seed, number, count, outcomes)
-            while number < count and outcomes[number]:
-                number += 1
-        return [OUTCOMES[outcomes[k] - 1] for k in range(count)]
+    outcomes = mmap.mmap(-1, count + 1)
+    number = 0
+    while number < count:
+        _in_a_child(library, seed, number, count, outcomes)
+        while number < count and outcomes[number]:
+            number += 1
+    return [OUTCOMES[outcomes[k] - 1] for k in range(count)]
 
 
 def _in_a_child(library: Library, seed: int, first: int, count: int, outcomes: mmap.mmap) -> None:
@@ -227,22 +226,20 @@ STRONG = (-37.0, 1e-3, 1e3)
 """Factors on a constant: one that changes no answer under any of them is not read in this configuration."""
 
 
-def unnoticed(name: str) -> tuple[int, dict[str, str]]:
+def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
     """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
-    found, count = {}, 0
-    with tempfile.TemporaryDirectory() as folder:
-        controller = CONTROLLERS[name]()
-        block, library = tracking_block(controller), Library(controller, Path(folder) / "export")
-        places = data_places(block)
-        for constant, word in numbers_of(block, Tracking if isinstance(controller, MPC) else LawTracking):
-            (value,) = struct.unpack_from("<d", block.content, places[word]) if word in places else (0.0,)
-            if value == 0.0 or not math.isfinite(value):
-                continue
-            count += 1
-            if not library.notices(_scaled(block, places, word, 1.01)):
-                read = any(library.notices(_scaled(block, places, word, factor)) for factor in STRONG)
-                found[constant] = TOO_WEAK if read else NOT_READ
-    return count, found
+    missed, count = {}, 0
+    block, kind = tracking_block(library.controller), Tracking if isinstance(library.controller, MPC) else LawTracking
+    places = data_places(block)
+    for constant, word in numbers_of(block, kind):
+        (value,) = struct.unpack_from("<d", block.content, places[word]) if word in places else (0.0,)
+        if value == 0.0 or not math.isfinite(value):
+            continue
+        count += 1
+        if not library.notices(_scaled(block, places, word, 1.01)):
+            read = any(library.notices(_scaled(block, places, word, factor)) for factor in STRONG)
+            missed[constant] = TOO_WEAK if read else NOT_READ
+    return count, missed
 
 
 def _scaled(block: Block, places: dict[int, int], word: int, factor: float) -> bytes:
