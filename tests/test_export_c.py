@@ -376,8 +376,8 @@ def changed(block, place, value, kind="<d"):
 
 @pytest.mark.parametrize("name", ["informed", "learning", "nn", "lqr"])
 def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checksum(name, library_of, way):
-    made = library_of(name)
-    block = tracking_block(made.controller)
+    export = library_of(name)
+    block = tracking_block(export.controller)
     places, mpc = data_places(block), "step.mpc.settings."
     words = {block.words["tracker.settings"]: 5e-324, block.words["tracker.settings"] + 1: math.nan}
     if name == "lqr":
@@ -386,19 +386,19 @@ def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checks
         words |= {block.words[mpc + "longest_horizon"]: 5e-324, block.words[mpc + "period"]: 1e-9}
     for array in block.arrays:
         words |= {array.word + 1 + k: 1e300 for k in range(len(array.sizes))}
-    driving = begun(made, way)
+    driving = begun(export, way)
     before = driving.raw.copy()
     for word, value in words.items():
         if word in places:
             content = changed(block, places[word], value)
-            assert CTracker(made).init(content) == exported.DAMAGED, word
+            assert CTracker(export).init(content) == exported.DAMAGED, word
             assert driving.load(content) in (exported.DAMAGED, exported.OTHER_SIZES), word
     assert (driving.raw == before).all()
 
 
 @pytest.fixture(scope="module")
 def fuzzed(folder):
-    """Exports as the tool for constants drives them, by name; each is made once."""
+    """Exports as the tool for constants drives them, by name; each is export once."""
     return functools.cache(lambda name: Library(FUZZED[name](), folder / f"fuzzed-{name}"))
 
 
@@ -414,9 +414,9 @@ def test_thousands_of_changes_under_a_right_checksum_neither_crash_nor_hang(name
 
 @pytest.mark.parametrize("name", ["informed", "stanley", pytest.param("learning", marks=pytest.mark.slow)])
 def test_the_recorded_minute_notices_nine_of_ten_constants_that_are_read(name, fuzzed):
-    count, missed = unnoticed(fuzzed(name))
-    read = count - list(missed.values()).count(NOT_READ)
-    assert count - len(missed) >= 0.9 * read, missed
+    count, misses = unnoticed(fuzzed(name))
+    read = count - list(misses.values()).count(NOT_READ)
+    assert count - len(misses) >= 0.9 * read, misses
 
 
 def test_a_lag_that_is_learned_to_be_long_changes_no_bit():
@@ -561,37 +561,37 @@ def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_
 
 @pytest.mark.parametrize("option", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
 def test_a_file_compiled_without_nan_is_refused_with_the_option_by_name(option, library_of, tmp_path):
-    made = library_of("informed")
-    for source in (made.folder / "main.c", made.folder / "src" / "adaptrack_block.c"):
-        command = [exported.compiler(), option, f"-I{made.folder}/include", f"-I{made.folder}/src",
-                   f"-I{made.folder}", "-c", str(source), "-o", str(tmp_path / "a.o")]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True)
-        assert done.returncode != 0
-        assert "without -Ofast, -ffast-math or -ffinite-math-only" in done.stderr
+    export = library_of("informed")
+    for source in (export.folder / "main.c", export.folder / "src" / "adaptrack_block.c"):
+        command = [exported.compiler(), option, f"-I{export.folder}/include", f"-I{export.folder}/src",
+                   f"-I{export.folder}", "-c", str(source), "-o", str(tmp_path / "a.o")]  # fmt: skip
+        run = subprocess.run(command, capture_output=True, text=True)
+        assert run.returncode != 0
+        assert "without -Ofast, -ffast-math or -ffinite-math-only" in run.stderr
 
 
 def test_a_program_linked_with_fast_math_says_the_error_by_name(library_of):
     if os.uname().machine != "x86_64":
         pytest.skip("gcc switches subnormal numbers off at the start of programs for x86-64")
-    made = library_of("informed")
-    subprocess.run(["make", "-C", str(made.folder), "lib"], check=True, capture_output=True)
-    command = [exported.compiler(), "-O1", f"-I{made.folder}/include", f"-I{made.folder}", "-c",
-               str(made.folder / "main.c"), "-o", str(made.folder / "main.o")]  # fmt: skip
+    export = library_of("informed")
+    subprocess.run(["make", "-C", str(export.folder), "lib"], check=True, capture_output=True)
+    command = [exported.compiler(), "-O1", f"-I{export.folder}/include", f"-I{export.folder}", "-c",
+               str(export.folder / "main.c"), "-o", str(export.folder / "main.o")]  # fmt: skip
     subprocess.run(command, check=True)
-    linked = [exported.compiler(), "-Ofast", str(made.folder / "main.o"),
-              str(made.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(made.folder / "fast")]  # fmt: skip
+    linked = [exported.compiler(), "-Ofast", str(export.folder / "main.o"),
+              str(export.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(export.folder / "fast")]  # fmt: skip
     subprocess.run(linked, check=True)
-    done = subprocess.run([str(made.folder / "fast")], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stdout.startswith("ADAPTRACK_ARITHMETIC, error 11")
+    run = subprocess.run([str(export.folder / "fast")], capture_output=True, text=True)
+    assert run.returncode == 2
+    assert run.stdout.startswith("ADAPTRACK_ARITHMETIC, error 11")
 
 
 def test_a_path_of_more_points_than_the_header_says_is_refused(library_of):
-    made = library_of("informed")
-    header = (made.folder / "include" / "adaptrack_config.h").read_text()
+    export = library_of("informed")
+    header = (export.folder / "include" / "adaptrack_config.h").read_text()
     assert "#define ADAPTRACK_MOST_POINTS 100000 " in header
     points = np.stack([np.arange(100_001.0), np.zeros(100_001)], axis=-1)
-    path = CPath(made.c, points, more=1000)
+    path = CPath(export.c, points, more=1000)
     assert (path.error, path.flaw.value) == (exported.BAD_PATH, 100_001)
 
 

@@ -230,10 +230,10 @@ def test_keys_slider_wheel_and_drag_do_what_they_say(page):
 def test_no_script_runs_but_the_replay(page):
     written = "<script>window.evil = true;</script>"
     text = page.read_text(encoding="utf-8").replace("</main>", written + "</main>")
-    found, said = browser.ask({"/": Served(with_script(text, COLLECT % "found.evil = window.evil ?? null;"))})
-    assert found["evil"] is None
-    assert found["failures"] == []
-    assert any("Content Security Policy" in line for line in said)
+    answer, console = browser.ask({"/": Served(with_script(text, COLLECT % "found.evil = window.evil ?? null;"))})
+    assert answer["evil"] is None
+    assert answer["failures"] == []
+    assert any("Content Security Policy" in line for line in console)
 
 
 def test_a_link_to_an_instant_opens_there(page):

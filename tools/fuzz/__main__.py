@@ -66,13 +66,16 @@ def _constants(chosen: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder:
             library = constants.Library(constants.CONTROLLERS[name](), Path(folder) / "export")
             outcomes = constants.search_constants(library, chosen.count, chosen.seed)
-            print(f"{name}: {', '.join(f'{outcomes.count(each)} {each}' for each in constants.OUTCOMES)}", flush=True)
+            print(
+                f"{name}: {', '.join(f'{outcomes.count(outcome)} {outcome}' for outcome in constants.OUTCOMES)}",
+                flush=True,
+            )
             failed += sum(outcome not in constants.ACCEPTED for outcome in outcomes)
             if not chosen.unnoticed:
                 continue
-            count, missed = constants.unnoticed(library)
-            print(f"  {len(missed)} of {count} constants may change by 1 % in the recorded minute:")
-            print("".join(f"    {constant}: {why}\n" for constant, why in missed.items()), end="")
+            count, misses = constants.unnoticed(library)
+            print(f"  {len(misses)} of {count} constants may change by 1 % in the recorded minute:")
+            print("".join(f"    {constant}: {why}\n" for constant, why in misses.items()), end="")
     return int(failed > 0)
 
 

@@ -61,11 +61,11 @@ NUMBERS = (0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324)
 # -- what is changed --------------------------------------------------------------------------------------------------
 def changed(content: bytes, rng: np.random.Generator) -> bytes:
     """A copy with a word of the data, of the tables or of the header changed, and the checksum of that."""
-    found = bytearray(content)
+    copy = bytearray(content)
     for _ in range(1 if rng.random() < 0.8 else 2):
-        _change(found, rng)
-    found[12:16] = struct.pack("<I", zlib.crc32(bytes(found[PRELUDE.size :])))
-    return bytes(found)
+        _change(copy, rng)
+    copy[12:16] = struct.pack("<I", zlib.crc32(bytes(copy[PRELUDE.size :])))
+    return bytes(copy)
 
 
 def _change(content: bytearray, rng: np.random.Generator) -> None:
@@ -120,14 +120,23 @@ class Library:
         export_c(controller, folder)
         self.controller = controller
         self.constants = (folder / "constants.bin").read_bytes()
-        made = folder / "tracker.so"
+        program = folder / "tracker.so"
         sources = [*sorted((folder / "src").glob("*.c")), folder / "main.c"]
         sources += [folder / "lib" / own_target() / KERNELS_FILE]
-        words = ["-shared", "-fPIC", "-O1", f"-I{folder}/include", f"-I{folder}", *map(str, sources), "-o", str(made)]
-        done = subprocess.run(["cc", *words], capture_output=True, text=True)
-        if done.returncode != 0:
-            raise InvalidInput(f"cc does not link {folder}: {done.stderr}")
-        self.c = ctypes.CDLL(str(made))
+        words = [
+            "-shared",
+            "-fPIC",
+            "-O1",
+            f"-I{folder}/include",
+            f"-I{folder}",
+            *map(str, sources),
+            "-o",
+            str(program),
+        ]
+        run = subprocess.run(["cc", *words], capture_output=True, text=True)
+        if run.returncode != 0:
+            raise InvalidInput(f"cc does not link {folder}: {run.stderr}")
+        self.c = ctypes.CDLL(str(program))
         self.c.adaptrack_size.restype = self.c.adaptrack_path_size.restype = ctypes.c_size_t
         along = np.arange(0.0, 300.0, 5.0)
         self.points = np.stack([along, 12.0 * (1.0 - np.cos(along / 45.0))], axis=-1)
@@ -144,8 +153,8 @@ class Library:
         return int(self.c.adaptrack_path_size(self.points.ctypes.data_as(ctypes.c_void_p), self._count, 0))
 
     def _call(self, name: str, *words: Any) -> int:
-        given = [each.ctypes.data_as(ctypes.c_void_p) if isinstance(each, np.ndarray) else each for each in words]
-        return int(getattr(self.c, f"adaptrack_{name}")(*given))
+        arguments = [word.ctypes.data_as(ctypes.c_void_p) if isinstance(word, np.ndarray) else word for word in words]
+        return int(getattr(self.c, f"adaptrack_{name}")(*arguments))
 
     def _begin(self, constants: bytes) -> int:
         size = ctypes.c_size_t(self.size)
@@ -172,7 +181,7 @@ class Library:
         else:
             error = self._begin(constants)
         finite = True if error else self._drive(sample, answer, first, STEPS)
-        whole = all((each == CANARY).all() for each in (self.raw[:MARGIN], self.raw[-MARGIN:]))
+        whole = all((margin == CANARY).all() for margin in (self.raw[:MARGIN], self.raw[-MARGIN:]))
         return "wrong" if not (finite and whole) else "refused" if error else "driven"
 
     def _drive(self, sample: Any, answer: Any, first: int, last: int) -> bool:
@@ -228,7 +237,7 @@ STRONG = (-37.0, 1e-3, 1e3)
 
 def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
     """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
-    missed, count = {}, 0
+    misses, count = {}, 0
     block, kind = tracking_block(library.controller), Tracking if isinstance(library.controller, MPC) else LawTracking
     places = data_places(block)
     for constant, word in numbers_of(block, kind):
@@ -238,8 +247,8 @@ def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
         count += 1
         if not library.notices(_scaled(block, places, word, 1.01)):
             read = any(library.notices(_scaled(block, places, word, factor)) for factor in STRONG)
-            missed[constant] = TOO_WEAK if read else NOT_READ
-    return count, missed
+            misses[constant] = TOO_WEAK if read else NOT_READ
+    return count, misses
 
 
 def _scaled(block: Block, places: dict[int, int], word: int, factor: float) -> bytes:

@@ -25,7 +25,7 @@ from adaptrack.export.block import ArrayLayout, Block, Role
 LONGEST_LAG = 10
 """s, of a steering in constants."""
 _FLAG, _PLACE = (0, 1), (0, 2**31 - 1)
-BOUNDS: dict[str, tuple[float, float]] = {
+NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "laguerre": _FLAG, "preview": _FLAG, "informed": _FLAG, "curved": (1, 1), "feeds_forward": _FLAG, "learns": _FLAG,
     "residuals": _FLAG, "terms": (1, 1000), "longest_horizon": (1, 1000), "most_moves": (1, 1000), "solver": (0, 3),
     "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-4, 10.0), "delay": (0.0, 1000.0),
@@ -34,14 +34,14 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "place": (0, len(VARIABLES) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
-"""Of numbers of the record and of its rows, by their names; others are any number, and whole ones as exported."""
+"""Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
 _WITH_NAN = ("step.mpc.informed.fresh", "scheduling.schedule.numbers")
 """Arrays of numbers that may be NaN: samples that were missing, cells of a map without a margin."""
 _OPEN = ("step.", "scheduling.")
 """Arrays whose sizes follow from numbers: the C source checks them against those."""
 _CLOSED = ("step.now", "step.reference", "step.tuning", "scheduling.schedule.settings", "scheduling.variables",
            "scheduling.first")  # fmt: skip
-PLACES = {
+ARRAY_PLACES = {
     "settings": "tracker.settings", "schedule": "scheduling.schedule.settings", "counts": "scheduling.schedule.memory",
     "integers": "scheduling.schedule.integers", "numbers": "scheduling.schedule.numbers",
     "scratch": "scheduling.schedule.scratch", "first": "scheduling.first",
@@ -72,7 +72,7 @@ CHECK_PLACES = {f"CAR_{name.upper()}": _place(CheckSettings, name) for name in (
 
 
 def _is_of_numbers(array: ArrayLayout) -> bool:
-    """Whether it holds doubles of which none may be NaN."""
+    """Return whether an array holds doubles of which none may be NaN."""
     return array.kind == "f" and array.name not in _WITH_NAN
 
 
@@ -85,9 +85,9 @@ def places(block: Block, kind: Any) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
     of_mpc = kind is Tracking
-    named = PLACES | (MPC_PLACES if of_mpc else LAW_PLACES)
-    found = {f"AT_{name.upper()}": at[array] for name, array in named.items()}
-    found |= {
+    names = ARRAY_PLACES | (MPC_PLACES if of_mpc else LAW_PLACES)
+    numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
+    numbers |= {
         "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(of_mpc),
         "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
         "EQUALS": len(list(_equals(block, kind))),
@@ -103,7 +103,7 @@ def places(block: Block, kind: Any) -> dict[str, int]:
            for name in ("used", "mapped", "integers", "numbers")},
         **{name: getattr(functions, name) for name in ("NUMBER", "NETWORK", "SUGENO", "MULTILINEAR")},
     }  # fmt: skip
-    return found | (_mpc_places(block) if of_mpc else {})
+    return numbers | (_mpc_places(block) if of_mpc else {})
 
 
 def _mpc_places(block: Block) -> dict[str, int]:
@@ -137,8 +137,8 @@ def tables(block: Block, kind: Any) -> list[str]:
         for array in block.arrays
     ]
     bounds = [
-        f"    {{{array}, {word}, {whole}, {_number(least)}, {_number(most)}}},"
-        for array, word, whole, least, most in _bounds(block, kind)
+        f"    {{{array}, {word}, {int(is_int)}, {_number(least)}, {_number(most)}}},"
+        for array, word, is_int, least, most in _bounds(block, kind)
     ]
     initials = [f"    {{{array}, {word}, UINT64_C({value:#x})}}," for array, word, value in _initials(block)]
     equals = [f"    {{{', '.join(map(str, words))}}}," for words in _equals(block, kind)]
@@ -154,7 +154,7 @@ def tables(block: Block, kind: Any) -> list[str]:
 
 def numbers_of(block: Block, kind: Any) -> Iterator[tuple[str, int]]:
     """Name and word of every constant that is a double."""
-    yield from ((name, word) for name, word, whole in _numbers_of("", kind, block.words) if not whole)
+    yield from ((name, word) for name, word, is_int in _numbers_of("", kind, block.words) if not is_int)
     for array in block.arrays:
         first = block.words[array.name]
         if array.role is Role.KEPT or array.kind == "i":
@@ -163,7 +163,7 @@ def numbers_of(block: Block, kind: Any) -> Iterator[tuple[str, int]]:
             yield from ((f"{array.name}[{k}]", first + k) for k in range(array.values.size))
         else:
             fields = _fields_of(_rows_of(array.name).dtype, 0)
-            yield from ((f"{array.name}.{name}", first + word) for name, word, whole in fields if not whole)
+            yield from ((f"{array.name}.{name}", first + word) for name, word, is_int in fields if not is_int)
 
 
 def _number(value: float) -> str:
@@ -192,17 +192,17 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
     Behind the last array comes the record itself.
     """
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    own = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")}
+    settings = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")}
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
     if kind is Tracking:
         pairs += [("period", "step.mpc.informed.estimator", 0), ("period", "step.mpc.informed.learner", 0)]
         for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
-            yield at["tracker.settings"], own[name], len(at), block.words[f"step.mpc.settings.{field}"]
+            yield at["tracker.settings"], settings[name], len(at), block.words[f"step.mpc.settings.{field}"]
     else:
         pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
         pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
     for name, array, word in pairs:
-        yield at["tracker.settings"], own[name], at[array], word
+        yield at["tracker.settings"], settings[name], at[array], word
     tuning = (MPC_PLACES if kind is Tracking else LAW_PLACES)["tuning"]
     for word in range(block.arrays[at[tuning]].sizes[0]):
         yield at["scheduling.first"], word, at[tuning], word
@@ -213,11 +213,11 @@ def _rows_of(name: str) -> Any:
     return SETTINGS if name == "tracker.settings" else schedule.SETTINGS
 
 
-def _bounds_of(name: str, whole: bool, value: int) -> tuple[int, float, float]:
-    """Whether a number is whole, and its bounds; value: its word in this block."""
-    if whole:
-        return 1, *BOUNDS.get(name, (value, value))
-    return 0, *BOUNDS.get(name, (-math.inf, math.inf))
+def _bounds_of(name: str, is_int: bool, value: int) -> tuple[int, float, float]:
+    """Return whether a number is whole, and its bounds; value: its word in this block."""
+    if is_int:
+        return 1, *NUMBER_BOUNDS.get(name, (value, value))
+    return 0, *NUMBER_BOUNDS.get(name, (-math.inf, math.inf))
 
 
 def _numbers_of(before: str, kind: Any, words: Mapping[str, int]) -> Iterator[tuple[str, int, bool]]:

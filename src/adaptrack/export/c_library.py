@@ -336,7 +336,7 @@ enum {{
     ADAPTRACK_RECORDED_PATH_SIZE = {size}, /* bytes, of adaptrack_path_size */
     ADAPTRACK_RECORDED_PLAN = {driven.plan.s.size},
     ADAPTRACK_RECORDED_STEPS = {len(rows)},
-    ADAPTRACK_RECORDED_DRIVEN = {driven.driven} /* of the simulated drive, the first ones */
+    ADAPTRACK_RECORDED_DRIVEN = {driven.driven_calls} /* of the simulated drive, the first ones */
 }};
 /* m: x, y of the path */
 static const double adaptrack_recorded_points[] = {{

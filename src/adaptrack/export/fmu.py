@@ -162,12 +162,12 @@ def binaries() -> dict[str, Any]:
     try:
         built = json.loads((fmu_build.BUILT / fmu_build.MANIFEST).read_text(encoding="utf-8"))
         current = built["kernels"] == library.kernels_hash() and built["sources"] == fmu_build.sources_hash()
-        found = {name: {"sha256": str(entry["sha256"])} for name, entry in built["binaries"].items()}
+        entries = {name: {"sha256": str(entry["sha256"])} for name, entry in built["binaries"].items()}
     except (*library.UNUSABLE, RecursionError):
         raise InvalidInput(f"export fmu: there are no binaries for FMUs in this installation; {REMEDY}") from None
     if not current:
         raise InvalidInput(f"export fmu: sources have been edited since the binaries for FMUs were built; {REMEDY}")
-    return found
+    return entries
 
 
 # -- the description --------------------------------------------------------------------------------------------------

@@ -40,21 +40,21 @@ SAMPLE = CALL._fields
 """Columns of `Recorded.samples`."""
 ANSWER = TRACKED._fields
 """Columns of `Recorded.answers`."""
-DRIVEN = 0.4
+DRIVEN_SHARE = 0.4
 """Share of the record that the controller drives."""
 MOST_ANGLE = 1.2
 """rad, of the wheels of any car"""
-CLOSE = 0.25
+BEND_SPACING = 0.25
 """m, between the points of the two tight bends."""
 
 
-FURTHEST = 20.0
+MAX_OFFSET = 20.0
 """m, from the path, at most"""
-SLOW = 2.5
+BEND_SPEED = 2.5
 """m/s, the planned speed in them."""
 
 
-class Stretch(NamedTuple):
+class RecordedStretch(NamedTuple):
     """A part of the record with a car that moves along the path by itself."""
 
     seconds: float
@@ -63,7 +63,7 @@ class Stretch(NamedTuple):
     speed: float
     """m/s, at first"""
     acceleration: float = 0.0
-    """m/s^2"""
+    """m/s^2, along the path"""
     offset: float = 0.0
     """m, amplitude of a weave about the path; inf: just beyond the furthest"""
     wave: float = 4.0
@@ -74,29 +74,31 @@ class Stretch(NamedTuple):
     """s, the samples' largest"""
     missing: float = 0.0
     """share of numbers that are missing"""
-    wrong: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    faults: Mapping[str, tuple[float, float]] = MappingProxyType({})
     """factor on numbers of the sample and what is added to them, in the first half of each wave; by their names"""
     without: tuple[str, ...] = ()
     """numbers that are missing throughout"""
 
 
 STRETCHES = (
-    Stretch(2.0, -10.0, 8.0, -2.0, age=0.25, missing=0.1),
-    Stretch(8.0, 1.0, 2.5, offset=0.05, wave=0.5),
-    Stretch(0.5, 11.0, -1.0),
-    Stretch(1.5, 11.0, 1.0),
-    Stretch(0.5, 19.0, -1.0),
-    Stretch(1.5, 19.0, 1.0),
-    Stretch(4.0, -60.0, 12.0, offset=0.8, wave=1.5, age=0.4, missing=0.2),
-    Stretch(6.0, -100.0, 15.0, wave=1.0, wrong={"yaw_rate": (1.0, 0.3), "vy": (1.0, 1.0), "wheel_angle": (1.0, 0.1)}),
-    Stretch(3.0, -80.0, 15.0, wave=0.7, wrong={"lateral_acceleration": (1.0, 3.0), "yaw": (1.0, 0.1)}),
-    Stretch(2.0, -50.0, 20.0, without=("x", "y")),
-    Stretch(2.0, -40.0, 3.0, -1.5),
-    Stretch(3.0, -40.0, 8.0, offset=math.inf, wave=6.0),
-    Stretch(2.0, -20.0, 5.0),
+    RecordedStretch(2.0, -10.0, 8.0, -2.0, age=0.25, missing=0.1),
+    RecordedStretch(8.0, 1.0, 2.5, offset=0.05, wave=0.5),
+    RecordedStretch(0.5, 11.0, -1.0),
+    RecordedStretch(1.5, 11.0, 1.0),
+    RecordedStretch(0.5, 19.0, -1.0),
+    RecordedStretch(1.5, 19.0, 1.0),
+    RecordedStretch(4.0, -60.0, 12.0, offset=0.8, wave=1.5, age=0.4, missing=0.2),
+    RecordedStretch(
+        6.0, -100.0, 15.0, wave=1.0, faults={"yaw_rate": (1.0, 0.3), "vy": (1.0, 1.0), "wheel_angle": (1.0, 0.1)}
+    ),
+    RecordedStretch(3.0, -80.0, 15.0, wave=0.7, faults={"lateral_acceleration": (1.0, 3.0), "yaw": (1.0, 0.1)}),
+    RecordedStretch(2.0, -50.0, 20.0, without=("x", "y")),
+    RecordedStretch(2.0, -40.0, 3.0, -1.5),
+    RecordedStretch(3.0, -40.0, 8.0, offset=math.inf, wave=6.0),
+    RecordedStretch(2.0, -20.0, 5.0),
 )
 """What the record goes through behind the simulated drive."""
-NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.02, "yaw_rate": 0.005, "vy": 0.02,
+SENSOR_NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.02, "yaw_rate": 0.005, "vy": 0.02,
          "lateral_acceleration": 0.05, "wheel_angle": 0.002}  # fmt: skip
 """Standard deviations: m, rad, m/s, rad/s, m/s^2."""
 
@@ -113,7 +115,7 @@ class Recorded:
     """(calls, SAMPLE)"""
     answers: Array
     """(calls, ANSWER)"""
-    driven: int
+    driven_calls: int
     """calls of the simulated drive, the first ones"""
     failed: str = ""
     """when and why the car failed, in words; empty where it did not"""
@@ -139,39 +141,45 @@ def record_drive(
     InvalidInput
         When the controller cannot be tracked, or the drive ends before its first instant.
     """
-    length = min(road.length, float(plan.speed.max()) * (DRIVEN * seconds + AHEAD))
+    length = min(road.length, float(plan.speed.max()) * (DRIVEN_SHARE * seconds + AHEAD))
     points = _points(road, length)
     path = road_through(points, name=road.name)
     points = np.concatenate([points, _bends(path, _tightest(controller))])
-    longer = road_through(points, name=road.name)
+    full_path = road_through(points, name=road.name)
     steady = float(np.ptp(plan.speed)) == 0.0
     car = getattr(controller, "vehicle", None)
     planned = (
         constant_speed(path, float(plan.speed[0])) if steady or car is None else plan_speed(path, car, plan.comfort)
     )
-    driver = _Driver(controller, longer, _extended(planned, longer.length), DRIVEN * seconds, furthest)
+    driver = _Driver(controller, full_path, _extended(planned, full_path.length), DRIVEN_SHARE * seconds, furthest)
     run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
-    found = find_failure(run)
-    lasts = found is None or found.time >= DRIVEN * seconds
-    failed = "" if found is None or lasts else f"at {found.time:.1f} s the vehicle {found.clause}"
-    driven = len(driver.samples)
-    if driven == 0:
+    failure = find_failure(run)
+    failed = ""
+    if failure is not None and failure.time < DRIVEN_SHARE * seconds:
+        failed = f"at {failure.time:.1f} s the vehicle {failure.clause}"
+    calls = len(driver.samples)
+    if calls == 0:
         raise InvalidInput(f"export: the road {road.name!r} is too short to be driven.")
-    weaves = [stretch._replace(offset=min(stretch.offset, 1.005 * min(furthest, FURTHEST))) for stretch in STRETCHES]
-    for sample in _wild(weaves, longer, path.length, controller, driver.samples[-1][1], np.random.default_rng(seed)):
+    weaves = [stretch._replace(offset=min(stretch.offset, 1.005 * min(furthest, MAX_OFFSET))) for stretch in STRETCHES]
+    for sample in _wild(weaves, full_path, path.length, controller, driver.samples[-1][1], np.random.default_rng(seed)):
         driver.call(sample)
-    return Recorded(points, driver.plan, np.array(driver.samples), np.array(driver.answers), driven, failed)
+    return Recorded(points, driver.plan, np.array(driver.samples), np.array(driver.answers), calls, failed)
 
 
 def _wild(
-    stretches: Sequence[Stretch], path: Road, bends: float, controller: Controller, now: float, rng: np.random.Generator
+    stretches: Sequence[RecordedStretch],
+    path: Road,
+    bends: float,
+    controller: Controller,
+    time: float,
+    rng: np.random.Generator,
 ) -> Iterator[Array]:
     """Samples of a car that goes through stretches, from a time (s) on; bends: m along the path."""
     s, period, car = 0.0, controller.period, controller.vehicle
     for stretch in stretches:
         s, speed = s if math.isnan(stretch.start) else bends + stretch.start, stretch.speed
         for k in range(round(stretch.seconds / period)):
-            now, s = now + period, min(max(s + speed * period, 0.0), path.length - 1.0)
+            time, s = time + period, min(max(s + speed * period, 0.0), path.length - 1.0)
             speed = max(speed + stretch.acceleration * period, min(stretch.speed, 0.0))
             foot, turn = path.at(s), 2.0 * math.pi * k * period / stretch.wave
             offset, yaw = stretch.offset * math.sin(turn), float(foot.heading)
@@ -182,11 +190,11 @@ def _wild(
                 yaw=yaw, speed=speed, yaw_rate=yaw_rate, vy=0.5 * car.lr * yaw_rate,
                 lateral_acceleration=speed * yaw_rate, wheel_angle=math.atan((car.lf + car.lr) * float(foot.curvature)),
             )  # fmt: skip
-            for name, deviation in NOISE.items():
-                factor, more = stretch.wrong.get(name, (1.0, 0.0)) if math.sin(turn) > 0.0 else (1.0, 0.0)
-                values[name] = factor * values[name] + more + deviation * stretch.noise * rng.normal()
+            for name, deviation in SENSOR_NOISE.items():
+                factor, step = stretch.faults.get(name, (1.0, 0.0)) if math.sin(turn) > 0.0 else (1.0, 0.0)
+                values[name] = factor * values[name] + step + deviation * stretch.noise * rng.normal()
             sample = np.full(len(CALL), math.nan)
-            sample[: CALL.friction] = now - stretch.age * rng.random(), now, *values.values()
+            sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values.values()
             sample[CALL.friction :] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
             sample[CALL.x :][rng.random(len(CALL) - CALL.x) < stretch.missing] = math.nan
             sample[[getattr(CALL, name) for name in stretch.without]] = math.nan
@@ -197,7 +205,9 @@ def _extended(plan: SpeedPlan, length: float) -> SpeedPlan:
     """The speed at fewer places, and slow in the bends up to a length (m)."""
     last = float(plan.s[-1])
     s = np.linspace(0.0, last, max(2, math.ceil(last / SPACING)))
-    return replace(plan, s=np.array([*s, last + SPACING, length]), speed=np.array([*plan.at(s), SLOW, SLOW]))
+    return replace(
+        plan, s=np.array([*s, last + SPACING, length]), speed=np.array([*plan.at(s), BEND_SPEED, BEND_SPEED])
+    )
 
 
 def _tightest(controller: Controller) -> float:
@@ -216,10 +226,10 @@ def _bends(path: Road, tightest: float) -> Array:
     """Points of a bend to the left and one to the right of a curvature (1/m), behind the end of a path."""
     end = path.at(path.length)
     curvature = np.interp(
-        np.arange(0.0, 25.0, CLOSE), [5, 10, 12, 13, 18, 20, 20.5], tightest * np.array([0, 1, 1, 0, -1, -1, 0])
+        np.arange(0.0, 25.0, BEND_SPACING), [5, 10, 12, 13, 18, 20, 20.5], tightest * np.array([0, 1, 1, 0, -1, -1, 0])
     )
-    heading = float(end.heading) + CLOSE * np.cumsum(curvature)
-    steps = CLOSE * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    heading = float(end.heading) + BEND_SPACING * np.cumsum(curvature)
+    steps = BEND_SPACING * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return np.array([float(end.x), float(end.y)]) + np.cumsum(steps, axis=0)
 
 

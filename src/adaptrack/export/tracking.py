@@ -168,7 +168,7 @@ class Twin:
         self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
         self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
 
-    def call(self, sample: Sequence[float]) -> NDArray[np.float64]:
+    def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """What a call gives, a row of `core.tracker.records.TRACKED`; sample: the first entries of one of `SAMPLE`."""
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample
