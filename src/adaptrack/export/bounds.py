@@ -35,6 +35,8 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
 """Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
+TIMES = ("computation", "lag", "least_lag", "most_lag", "least_dead_time", "most_dead_time")
+"""Numbers of a learner that are times (s) of the steering."""
 _WITH_NAN = ("step.mpc.informed.fresh", "scheduling.schedule.numbers")
 """Arrays of numbers that may be NaN: samples that were missing, cells of a map without a margin."""
 _OPEN = ("step.", "scheduling.")
@@ -92,7 +94,8 @@ def places(block: Block, kind: Any) -> dict[str, int]:
         "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
         "EQUALS": len(list(_equals(block, kind))),
         "AT_CAR": at["tracker.check.settings"], **CHECK_PLACES,
-        **{name.upper(): _place(SETTINGS, name) for name in ("drift_load", "drift_stiffness")},
+        **{name.upper(): _place(SETTINGS, name)
+           for name in ("drift_load", "drift_stiffness", "angle_min", "angle_max")},
         "PERIOD_AT": _place(SETTINGS, "period"), "LATE_AT": _place(SETTINGS, "late"),
         "SCHEDULE_N_INPUTS": _place(schedule.SETTINGS, "n_inputs"),
         "SCHEDULE_N_ENTRIES": _place(schedule.SETTINGS, "n_entries"),
@@ -180,6 +183,9 @@ def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, flo
         if array.kind == "V" and array.role is not Role.KEPT:
             for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
+        elif array.name == MPC_PLACES["learner"]:
+            for name in TIMES:
+                yield i, _place(learning.Numbers, name), 0, 0.0, LONGEST_LAG
         elif array.name == "law.parameters" and "lqr" in block.functions:
             for word in map(lqr.PARAMETERS.index, ("speeds", "weights")):  # of its grid of gains
                 count = float(array.values.view(np.float64)[word])

@@ -91,6 +91,7 @@ static adaptrack_error check_numbers(const adaptrack_block *b) {
         const adaptrack_bound *bound = adaptrack_bounds + i;
         content found = number_of(b, bound->array, bound->word);
         double number = bound->whole ? (double)found.whole : found.number;
+        if (bound->array < ADAPTRACK_ARRAYS && words_of(b, bound->array) == 0) continue; /* no such part */
         BOUND(number >= bound->least && number <= bound->most);
     }
     for (uint32_t i = 0; i < ADAPTRACK_EQUALS; i++) {
@@ -113,10 +114,12 @@ static adaptrack_error check_numbers(const adaptrack_block *b) {
 
 static double car_of(const adaptrack_block *b, int64_t field) { return entry_of(b, ADAPTRACK_AT_CAR, field).number; }
 
-/* The numbers of the car in the check of the inputs are those of the tracker. */
+/* The numbers of the car in the check of the inputs are those of the tracker, and its limits leave an angle. */
 static adaptrack_error check_car(const adaptrack_block *b) {
     const double load = entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_DRIFT_LOAD).number, slip = car_of(b, ADAPTRACK_CAR_SLIP);
     const double expected = load / entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_DRIFT_STIFFNESS).number;
+    BOUND(entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_ANGLE_MIN).number <
+          entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_ANGLE_MAX).number);
     BOUND(car_of(b, ADAPTRACK_CAR_KNOWN) == 1.0);
     BOUND(car_of(b, ADAPTRACK_CAR_LENGTH) == car_of(b, ADAPTRACK_CAR_LF) + car_of(b, ADAPTRACK_CAR_LR));
     BOUND(slip > 0.0 && expected < slip * (1.0 + 1e-9) && expected > slip * (1.0 - 1e-9));
