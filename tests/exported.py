@@ -24,7 +24,7 @@ class Function(ctypes.Structure):
 
 class Reader(ctypes.Structure):
     _fields_ = (("kernels", ctypes.c_uint64), ("kind", ctypes.c_uint32), ("functions", ctypes.POINTER(Function)),
-                ("count", ctypes.c_size_t))  # fmt: skip
+                ("count", ctypes.c_size_t), ("check", ctypes.c_void_p))  # fmt: skip
 
 
 @cache
