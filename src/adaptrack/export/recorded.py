@@ -63,7 +63,8 @@ def record_drive(
 ) -> Recorded:
     """Drive the beginning of a road with a controller behind a tracker, and keep what went in and out.
 
-    The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors.
+    The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors. A
+    command takes effect a period after its sample if the controller assumes such a computation time, else at once.
 
     Raises
     ------
@@ -78,6 +79,8 @@ def record_drive(
         constant_speed(path, float(plan.speed[0])) if steady or car is None else plan_speed(path, car, plan.comfort)
     )
     driver = _Driver(controller, path, _thinned(planned), seconds)
+    if controller.belief is not None:
+        profile = profile.replace(delay=float(controller.belief.computation.value > 0.5 * controller.period))
     run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
     found = find_failure(run)
     failed = f"at {found.time:.1f} s the vehicle {found.clause}" if found is not None and found.time < seconds else ""

@@ -9,9 +9,9 @@ from ..maths.exponential import hypot, log, power
 from .car import KnownWithin, Steering
 from .filter import Drifts
 
-GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED, WITH_DEAD_TIME = range(7)
+GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED = range(6)
 """Who says a number: the caller; the car's file; the profile; nobody, so the slow end of published values; nobody, so
-it is learned from the middle of these; an earlier drive; nobody, so it is learned with the dead time."""
+it is learned from the middle of these; an earlier drive."""
 Belief = record(
     "Belief",
     (
@@ -19,9 +19,9 @@ Belief = record(
         "computation",  # s, from a measurement until its command is given
         "rate",  # rad/s; inf: no limit
         "limit",  # rad
-        "lag_source", "dead_time_source", "computation_source", "rate_source", "limit_source",  # `GIVEN`, ...
+        "lag_source", "dead_time_source", "rate_source", "limit_source",  # `GIVEN`, ...
     ),
-    whole=("lag_source", "dead_time_source", "computation_source", "rate_source", "limit_source"),
+    whole=("lag_source", "dead_time_source", "rate_source", "limit_source"),
 )  # fmt: skip
 """The steering as a controller believes it."""
 Uncertainty = record("Uncertainty", ("lag", "dead_time", "stiffness", "mass"))
@@ -77,7 +77,7 @@ def believe_steering(given, car, actuator, computation, belief):
         belief.dead_time = 0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0)
     belief.rate = LEAST_STEERING_RATE if belief.rate_source == ASSUMED else rate
     belief.limit = ANGLE if belief.limit_source == ASSUMED else limit
-    belief.computation, belief.computation_source = computation, PROFILE
+    belief.computation = computation
 
 
 @inlined
