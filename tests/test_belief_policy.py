@@ -231,6 +231,22 @@ def test_a_model_of_ones_own_takes_no_computation_time():
         published_mpc(CAR, computation=0.05)
 
 
+@compiled
+@pytest.mark.parametrize("stated", ["belief", "car file"])
+def test_the_true_steering_drives_no_worse_than_an_unknown_one(stated):
+    car, road = load_vehicle("midsize-sedan"), generate_road("mountain", seed=2, length=600.0)
+    drive, world = RoadDrive(road, plan_speed(road, car)), load_profile("road").replace(delay=0.0)
+    true = Steering(lag=world.steering.lag, dead_time=0.0, rate=world.steering.rate)
+
+    def mean_square(mpc):
+        tunings = np.tile(mpc.tuning.as_array(), (3, 1))
+        runs = rollout_batch(DualTrack(car), mpc, [drive], tunings, which=[0] * 3, profile=world, seeds=np.arange(3))
+        return runs.mse.mean()
+
+    known = MPC(car, belief=true) if stated == "belief" else MPC(car.replace(steering=true))
+    assert mean_square(known) <= mean_square(MPC(car))
+
+
 @pytest.mark.parametrize(
     ("mpc", "profile", "differs"),
     [

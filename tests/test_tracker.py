@@ -161,14 +161,6 @@ def test_a_first_sample_that_is_late_is_where_the_car_was():
 
 # -- delays of the loop -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "options", [{"belief": STEERING}, {"vehicle": CAR.replace(steering=STEERING)}], ids=["belief", "car file"]
-)
-def test_with_the_true_steering_the_car_stays_on_the_path(options):
-    mpc = MPC(**{"vehicle": CAR, **options})
-    assert drive(Tracker(mpc, ROAD), ROAD, 15.0, noise=EXACT).rms < 0.001
-
-
-@pytest.mark.parametrize(
     ("options", "seconds", "contradicts"),
     [
         ({}, 0.0, False), ({}, 0.04, True), ({"computation": 0.05}, 0.04, False), ({"computation": 0.05}, 0.0, True),
