@@ -109,11 +109,14 @@ def test_each_number_of_the_steering_is_from_the_first_that_says_it():
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("computation", [0.0, 0.05, 0.1])
 @pytest.mark.parametrize("said", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
-def test_a_delay_that_nobody_says_is_as_long_as_published_ones(said):
+def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones(said, computation):
     found = row_of(belief.Belief)
-    belief.believe_steering(row_of(car.Steering, **said), row_of(car.Steering), row_of(car.Steering), 0.0, found)
-    longest = max(0.35, sum(said.values()))
+    belief.believe_steering(
+        row_of(car.Steering, **said), row_of(car.Steering), row_of(car.Steering), computation, found
+    )
+    longest = max(0.4 - min(computation, 0.05) - 1e-9, sum(said.values()))
     assert longest <= found.lag + found.dead_time <= longest + 0.05
     assert found.lag > 0.0
 

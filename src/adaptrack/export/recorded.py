@@ -134,7 +134,8 @@ def record_drive(
     """Drive the beginning of a road with a controller behind a tracker, then `STRETCHES`; keep what went in and out.
 
     The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors;
-    furthest: m, from the path, as of the exported tracker.
+    furthest: m, from the path, as of the exported tracker. A
+    command takes effect a period after its sample if the controller assumes such a computation time, else at once.
 
     Raises
     ------
@@ -152,6 +153,8 @@ def record_drive(
         constant_speed(path, float(plan.speed[0])) if steady or car is None else plan_speed(path, car, plan.comfort)
     )
     driver = _Driver(controller, full_path, _extended(planned, full_path.length), DRIVEN_SHARE * seconds, furthest)
+    if controller.belief is not None:
+        profile = profile.replace(delay=float(controller.belief.computation.value > 0.5 * controller.period))
     run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
     failure = find_failure(run)
     failed = ""
