@@ -97,7 +97,7 @@ install-extras: install requirements-extras.lock ## install also what others bri
 
 COMPILE := $(BIN)/uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes --upgrade \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --quiet
-LOCKED := --extra compile --extra solvers --extra cluster --extra docs --extra dev
+LOCKED := --extra compile --extra cluster --extra docs --extra dev
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock

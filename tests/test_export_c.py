@@ -31,6 +31,7 @@ from adaptrack.export.recorded import record_drive
 from adaptrack.export.tracking import Twin, small_record_of, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
 from programs import find_program
+from references.daqp import Daqp
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 HERE = Path(__file__).parent
@@ -683,7 +684,7 @@ class InPython(at.Controller):
     [
         (InPython, "controller 'my own' is none that is compiled ahead"),
         (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
-        (lambda: at.MPC(CAR, solver="daqp"), "QP solver 'daqp' .* is Python's"),
+        (lambda: at.MPC(CAR, solver=Daqp()), "QP solver 'daqp' .* is Python's"),
         (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Members by name: the one registry behind `register_plant`, `get_model`, `list_qp_solvers` and their like."""
+"""Members by name: the one registry behind `register_plant`, `get_model`, `list_controllers` and their like."""
 
 from __future__ import annotations
 

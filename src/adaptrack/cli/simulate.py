@@ -65,7 +65,7 @@ class PublishedOptions:
     ] = 0.95
     laguerre_terms: Annotated[int, Option("--laguerre-terms", hidden=True, help="Number of Laguerre functions.")] = 10
     solver: Annotated[
-        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set, hildreth, daqp, ...")
+        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set or hildreth")
     ] = "active-set"
     preview: Annotated[
         bool | None,

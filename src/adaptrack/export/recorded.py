@@ -134,8 +134,8 @@ def record_drive(
     """Drive the beginning of a road with a controller behind a tracker, then `STRETCHES`; keep what went in and out.
 
     The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors;
-    furthest: m, from the path, as of the exported tracker. A
-    command takes effect a period after its sample if the controller assumes such a computation time, else at once.
+    furthest: m, from the path, as of the exported tracker. A command takes effect a period after its sample if the
+    controller assumes such a computation time, else at once.
 
     Raises
     ------

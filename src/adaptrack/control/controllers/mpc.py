@@ -167,7 +167,7 @@ class MPC(Controller):
 
     period: control period; limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
-    "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
+    "active-set" (exact), "hildreth" (the paper's), or a `QPSolver`; what is
     done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: the model is never
     formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
 
@@ -233,7 +233,7 @@ class MPC(Controller):
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
         if not isinstance(self.solver, QPSolver):
-            raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
+            raise InvalidInput(f"MPC: solver = {solver!r}: must be 'active-set', 'hildreth' or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))
