@@ -35,7 +35,7 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
 """Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
-TIMES = ("computation", "lag", "least_lag", "most_lag", "least_dead_time", "most_dead_time")
+STEERING_TIMES = ("computation", "lag", "least_lag", "most_lag", "least_dead_time", "most_dead_time")
 """Numbers of a learner that are times (s) of the steering."""
 _WITH_NAN = ("step.mpc.informed.fresh", "scheduling.schedule.numbers")
 """Arrays of numbers that may be NaN: samples that were missing, cells of a map without a margin."""
@@ -184,7 +184,7 @@ def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, flo
             for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
         elif array.name == MPC_PLACES["learner"]:
-            for name in TIMES:
+            for name in STEERING_TIMES:
                 yield i, _place(learning.Numbers, name), 0, 0.0, LONGEST_LAG
         elif array.name == "law.parameters" and "lqr" in block.functions:
             for word in map(lqr.PARAMETERS.index, ("speeds", "weights")):  # of its grid of gains
