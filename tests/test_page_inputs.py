@@ -6,7 +6,6 @@ import base64
 import json
 import math
 import random
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -25,10 +24,10 @@ from adaptrack.core.synthesis import plant
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.export.page_inputs import SECTIONS, car_fields, tyre_numbers
 from adaptrack.identification.reading import ALIASES, Reading, read_columns
+from programs import find_program
 
 HERE, PAGE = Path(__file__).parent / "page", Path(at.__file__).parent / "export" / "page"
-NODE = shutil.which("node")
-needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed")
+needs_node = pytest.mark.needs("node")
 GIVEN = car_fields()
 SIX = "mass = 1500\nyaw_inertia = 2500\nlf = 1.1\nlr = 1.6\nstiffness_front = 55e3\nstiffness_rear = 60e3\n"
 
@@ -41,7 +40,7 @@ def asked(calls):
 
 def told(asking):
     done = subprocess.run(
-        [str(NODE), str(HERE / "inputs.mjs"), str(PAGE / "inputs.js")], input=json.dumps(asking), text=True,
+        [find_program("node"), str(HERE / "inputs.mjs"), str(PAGE / "inputs.js")], input=json.dumps(asking), text=True,
         capture_output=True, timeout=60, check=True,
     )  # fmt: skip
     return json.loads(done.stdout)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from programs import find_program
 from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_module, path, trajectory
 
 messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
@@ -484,8 +485,7 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
 @pytest.mark.compiled
 def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
     """With stand-ins of ament and of the packages that it finds."""
-    if shutil.which("cmake") is None:
-        pytest.skip("no cmake")
+    find_program("cmake")
     includes = ";".join(each.removeprefix("-I") for each in cpp[0].includes(folder)[2:])
     made = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
     made += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"

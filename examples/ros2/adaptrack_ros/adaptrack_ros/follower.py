@@ -94,8 +94,7 @@ class Follower:
     def __init__(self, parameters: Parameters | None = None) -> None:
         self.parameters = p = parameters or Parameters()
         self.car = at.load_vehicle(p.vehicle)
-        profile = at.load_profile(p.profile)
-        self.profile = profile.replace(name=f"{profile.name}-ros", delay=p.command_delay / profile.period)
+        self.profile = at.load_profile(p.profile)
         self._tracker: at.Tracker | None = None
         self._points: Array = np.empty((0, 2))
         self._speeds: Array | None = None
@@ -115,7 +114,7 @@ class Follower:
     def controller(self) -> at.MPC:
         """A new controller of this car."""
         sensors = replace(at.KalmanFilter.of_profile(self.profile), oldest=self.parameters.oldest_sample)
-        return at.MPC(self.car, profile=self.profile, estimator=sensors)
+        return at.MPC(self.car, profile=self.profile, computation=self.parameters.command_delay, estimator=sensors)
 
     def warm_up(self) -> None:
         """Have everything compiled and loaded before the car moves: on a straight, with a controller of its own."""
