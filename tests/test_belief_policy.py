@@ -25,15 +25,14 @@ from adaptrack.cli.options import CarAndPlant, DriveSettings
 from adaptrack.cli.simulate import ControllerSettings, learning_of, make_controller
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller, published_mpc
 from adaptrack.control.controllers.belief import ASSUMED, TO_LEARN
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.learned import UNKNOWN_CAR
+from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.core.estimators.learning import BELIEF, BELIEFS, QUANTITIES_BOUNDED
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import World, _warn
-from adaptrack.peers.kinematic_mpc import KinematicMPC
-from adaptrack.peers.mppi import MPPI
-from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.results.certificate import certificate_result
 from adaptrack.results.drive import drive_result
 from adaptrack.results.record import DriveRecord
@@ -202,10 +201,9 @@ def test_a_computation_time_adds_to_the_dead_time_wherever_it_is_stated():
             MPC(CAR, belief=STEERING, computation=stated).model.dead_time,
             KinematicMPC(CAR, belief=STEERING, computation=stated).belief.delay,
             PreviewLQR(CAR, belief=STEERING, computation=stated).belief.delay,
-            MPPI(CAR, belief=STEERING, computation=stated).car.belief.delay,
         ]
-        assert delays == pytest.approx([0.1 + stated] * 4)
-    assert KinematicMPC(KNOWN).belief.delay == PreviewLQR(KNOWN).belief.delay == MPPI(KNOWN).car.belief.delay == 0.05
+        assert delays == pytest.approx([0.1 + stated] * 3)
+    assert KinematicMPC(KNOWN).belief.delay == PreviewLQR(KNOWN).belief.delay == 0.05
     assert exported(KNOWN, computation=0.02).model.dead_time == pytest.approx(0.07)
 
 
@@ -218,7 +216,7 @@ def test_a_controller_that_learns_counts_a_stated_computation_time_before_the_de
     assert stated.model.dead_time == pytest.approx(plain.model.dead_time + 0.05)
 
 
-@pytest.mark.parametrize("make", [MPC, KinematicMPC, PreviewLQR, MPPI])
+@pytest.mark.parametrize("make", [MPC, KinematicMPC, PreviewLQR])
 @pytest.mark.parametrize("computation", [-0.01, math.nan, 2.0])
 def test_an_impossible_computation_time_is_refused(make, computation):
     with pytest.raises(InvalidInput, match="computation"):

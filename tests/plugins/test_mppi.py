@@ -169,6 +169,13 @@ def test_it_believes_the_steering_of_the_profile():
     assert SteeringActuator.ideal().lag == MPPI(CAR, profile="paper", **SMALL).car.belief.lag.value
 
 
+def test_a_computation_time_adds_to_the_dead_time():
+    late = MPPI(CAR, belief=Steering(lag=0.1, dead_time=0.1), computation=0.03, **SMALL)
+    assert late.car.belief.delay == pytest.approx(0.13)
+    with pytest.raises(InvalidInput, match="computation"):
+        MPPI(CAR, computation=-0.01)
+
+
 def test_without_numba_the_remedy_is_named(monkeypatch):
     mppi._compiled_law.cache_clear()
     monkeypatch.setattr(mppi, "compiles", lambda: False)

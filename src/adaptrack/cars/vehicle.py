@@ -454,6 +454,8 @@ def list_tyres() -> list[str]:
 
 VehicleArgument = Annotated[Vehicle, Hint("load_vehicle(name) gives one")]
 """The type of an argument."""
+
+
 @checked
 def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     """The named vehicle, or the one that a TOML file describes (keys: the fields of `Vehicle`).
