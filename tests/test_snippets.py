@@ -23,7 +23,7 @@ DOCS = PROJECT / "docs"
 PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 
 LONG_COMMANDS = {
-    "adapt": "39 minutes",
+    "adapt": "20 s",
     "adaptation": "39 minutes",
     "compare": "1 minute to hours",
     "campaign": "5 minutes",

@@ -53,7 +53,6 @@ RECORDS = (
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
-    "informed-nn": "knows its car, scheduled by networks", "informed-anfis": "knows its car, scheduled by ANFIS",
     "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
 }  # fmt: skip
 """Controllers of the page, and what they are."""
@@ -77,7 +76,7 @@ def page_data() -> dict[str, Any]:
         "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
         "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in KINDS},
-        "schedules": {name: image(load_scheduler(name).plan(1)) for name in _schedules()},
+        "schedules": {name: image(load_scheduler(name).plan(1)) for name in ("road-nn", "road-anfis")},
         "roads": {name: _road(name) for name in ROADS}, "tests": {name: _test(name) for name in TESTS},
         "places": {"signal": SIGNAL._asdict(), "state": STATE._asdict(), "input": INPUT._asdict(),
                    "plan": PLAN._asdict(), "slots": SLOTS, "states": STATES},
@@ -147,16 +146,11 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
         }
     plain = kind if law else base
     made, numbers = controller_of({"kind": plain}, load_vehicle("paper"), known), controller_numbers(plain, profile)
-    schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
     return {
-        **numbers, "words": KINDS[kind], "schedule": schedule if scheduled and not law else None,
+        **numbers, "words": KINDS[kind], "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
         "diagnostics": list(made.diagnostic_names), "tuning_names": list(made.tuning_names),
         "usual": dict(zip(made.tuning_names, made.packed_tuning().tolist(), strict=True)),
     }  # fmt: skip
-
-
-def _schedules() -> list[str]:
-    return [f"{base}road-{kind}" for base in ("", "informed-") for kind in ("nn", "anfis")]
 
 
 def _road(name: str) -> dict[str, Any]:

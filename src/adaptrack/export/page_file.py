@@ -92,7 +92,7 @@ def export_page(
         Of the simulated world: "paper", "road", "production".
     controllers : names
         One, or two side by side: "informed", "learning", "published", "published-nn", "published-anfis",
-        "informed-nn", "informed-anfis", "pure-pursuit", "stanley", "lqr".
+        "pure-pursuit", "stanley", "lqr".
     seed : int
         Of the sensors' noise.
 

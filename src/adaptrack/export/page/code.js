@@ -4,7 +4,7 @@
 //   setUpOut()                  buttons, and the code that follows the settings
 //   pythonOf(setup), commandOf(setup)     text
 
-const SCHEDULES = {"published-nn": "road-nn", "published-anfis": "road-anfis", "informed-nn": "informed-road-nn", "informed-anfis": "informed-road-anfis"};
+const SCHEDULES = {"published-nn": "road-nn", "published-anfis": "road-anfis"};
 const given = value => value !== null && value !== undefined;
 const pythonNumber = value => Number.isFinite(value) ? String(+(+value).toPrecision(12)) : "float('inf')";
 const text = value => JSON.stringify(String(value));
@@ -74,7 +74,6 @@ function pythonController({kind, tuning, belief}) {
   if (kind.startsWith("published")) return `at.published_mpc(car${tuned}, ${loop}${schedule})`;
   if (kind === "learning") return `at.MPC(car${tuned}, ${profile}, learning=at.Learning())`;
   if (kind === "informed") return `at.MPC(car${tuned}, ${profile}${believed}, learning=None)`;
-  if (SCHEDULES[kind]) return `at.MPC(car${tuned}, ${profile}${believed}${schedule})`;
   return `${{"pure-pursuit": "at.PurePursuit", stanley: "at.Stanley", lqr: "at.LQR"}[kind]}(car, ${loop})`;
 }
 

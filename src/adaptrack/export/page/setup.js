@@ -11,13 +11,11 @@ const MOST_DRAWN = 100;  // points of a drawn road, all of which a link holds
 const CONTROLLERS = {
   informed: "an MPC that knows its car", learning: "an MPC that learns its car", published: "the paper’s MPC",
   "published-nn": "the paper’s MPC scheduled by a network (NN)", "published-anfis": "the paper’s MPC scheduled by fuzzy rules (ANFIS)",
-  "informed-nn": "an MPC that knows its car, with a network (NN)", "informed-anfis": "an MPC that knows its car, with fuzzy rules (ANFIS)",
   "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "an LQR",
 };
 const SHORT = {
   informed: "knows its car", learning: "learns its car", published: "paper’s MPC", "published-nn": "paper’s MPC + NN",
-  "published-anfis": "paper’s MPC + ANFIS", "informed-nn": "knows its car + NN", "informed-anfis": "knows its car + ANFIS",
-  "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "LQR",
+  "published-anfis": "paper’s MPC + ANFIS", "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "LQR",
 };
 const TESTS = {"triple-lane-change": "the paper’s triple lane change", "general-trajectory": "the paper’s general trajectory"};
 const CARS = {
