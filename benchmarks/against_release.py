@@ -119,8 +119,6 @@ class Question(NamedTuple):
     """the same as the other checkout spells it, where it differs"""
 
 
-MANOEUVRES = ("steady-circle", "step-steer", "frequency-response", "sine-with-dwell")
-LANE = ("curvature-step", "lane-drift", "lane-recovery")
 SCHEDULERS = ("road-nn", "road-anfis", "road-best-constant", "road-look-up")
 
 COMMANDS: Mapping[str, Mapping[str, Question]] = {
@@ -178,8 +176,7 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
                 for kind in ("motorway", "country", "town", "mountain", "lap")},
              "points": Question("road check {track} --vehicle van"),
              "noisy": Question("road check {noisy}")},
-    "manoeuvre": {**{name: Question(f"manoeuvre {name} --vehicle compact-ev") for name in (*MANOEUVRES, *LANE)},
-                  "obstacle-avoidance": Question("manoeuvre obstacle-avoidance --vehicle compact-ev --no-tune")},
+    "manoeuvre": {"obstacle-avoidance": Question("manoeuvre obstacle-avoidance --vehicle compact-ev --no-tune")},
     "learning": {"train-nn": Question("train --data paper-grid --model nn --out nn.json"),
                  "describe": Question("dataset describe road-sobol")},
     "lists": {**{name: Question(name) for name in ("scenarios", "vehicles", "schedulers")},
