@@ -6,7 +6,7 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.core.frame import FRAME
-from adaptrack.export.page_data import page_car
+from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_setup import simulate_setup
 
 COLUMNS = {

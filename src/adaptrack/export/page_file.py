@@ -26,6 +26,7 @@ from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_y
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.export.page_data import KINDS, page_data
+from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_kernels import page_kernels
 from adaptrack.export.page_setup import ROADS
 from adaptrack.road.points import read_points
@@ -122,7 +123,7 @@ def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
     if isinstance(vehicle, str) and vehicle in list_vehicles():
         return {"name": vehicle}
     known = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
-    return {"file": known.model_dump(mode="json", exclude_none=True)}
+    return {"file": page_car(known)}
 
 
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:

@@ -128,13 +128,22 @@ async function saveCsv(i) {
   const {history} = page.drive, car = history.cars[i];
   const columns = Object.fromEntries(car.names.map(name => [name, car.columns[name].slice(0, car.count)]));
   try {
-    const {text: content} = await page.engine.ask({type: "write", what: "csv", car: i, columns});
-    const link = Object.assign(document.createElement("a"), {href: URL.createObjectURL(new Blob([content], {type: "text/csv"})), download: `drive-${i + 1}.csv`});
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    const {text: content} = await page.engine.ask({type: "write", what: "csv", columns});
+    save(`drive-${i + 1}.csv`, content, "text/csv");
   } catch (error) {
     page.notice(`The drive could not be written: ${error.message}`);
   }
+}
+
+async function saveCar() {
+  const {car} = page.setup, {text: content} = await page.engine.ask({type: "write", what: "car", car});
+  save(`${car.name ?? car.file?.name ?? "my-car"}.json`, content, "application/json");
+}
+
+function save(name, content, type) {
+  const link = Object.assign(document.createElement("a"), {href: URL.createObjectURL(new Blob([content], {type})), download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 function showCode() {
@@ -153,6 +162,7 @@ function showCsvButtons() {
 
 function setUpOut() {
   for (const button of document.querySelectorAll("[data-copy]")) button.onclick = () => copy(byId(button.dataset.copy).textContent, button);
+  byId("save-car").onclick = saveCar;
   byId("copy-link").onclick = event => {
     const {hash, notes} = addressOf(page.setup, page.drive?.touches ?? []);
     copy(location.href.replace(/#.*$/, "") + hash, event.target);
