@@ -1,8 +1,9 @@
-# Everything runs in the project's own .venv, installed from requirements.lock.
+# Everything runs in the project's own .venv, installed from requirements.lock; VENV names another folder for it.
 PYTHON ?= python3
-BIN := .venv/bin
+VENV ?= .venv
+BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
-INSTALLED := .venv/.installed
+INSTALLED := $(VENV)/.installed
 LOCKED_ONLY := --no-deps --only-binary :all: --require-hashes
 
 .DEFAULT_GOAL := help
@@ -14,7 +15,7 @@ help: ## list the targets
 
 install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
 
-$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/kernels -name '*.py')
+$(KERNELS): requirements.lock pyproject.toml src/adaptrack/__init__.py $(shell find src/adaptrack/core src/adaptrack/peers/kernels -name '*.py') | $(INSTALLED)
 	@command -v ld ld.lld > /dev/null || { \
 	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
 	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \
@@ -24,9 +25,9 @@ $(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/ker
 
 $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "adaptrack needs Python 3.11 or newer, and this is %s: try make PYTHON=python3.12 ..." % sys.version.split()[0])'
-	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv || { \
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV) || { \
 	  echo 'No ensurepip here: taking pip itself from the package index.'; \
-	  $(PYTHON) -m venv --clear --without-pip .venv && $(PYTHON) -m pip --python .venv install --quiet pip; }
+	  $(PYTHON) -m venv --clear --without-pip $(VENV) && $(PYTHON) -m pip --python $(VENV) install --quiet pip; }
 	@mkdir -p build && sed -n '/^uv==/,/[^\\]$$/p' requirements.lock > build/uv.txt
 	$(PIP) install --no-deps --only-binary :all: --require-hashes -r build/uv.txt
 	$(BIN)/uv pip install --quiet --python $(BIN)/python $(LOCKED_ONLY) -r requirements.lock || { \
@@ -96,12 +97,12 @@ install-extras: install requirements-extras.lock ## install also what others bri
 
 COMPILE := $(BIN)/uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes --upgrade \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --quiet
-LOCKED := --extra compile --extra solvers --extra cluster --extra docs --extra dev
+LOCKED := --extra compile --extra cluster --extra docs --extra dev
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
 	$(COMPILE) --extra bench --extra commonroad --extra fmu --extra gym --extra link --extra plants --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
-	rm -rf .venv build dist results docs/_build src/adaptrack/core/built src/adaptrack/export/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv* build dist results docs/_build src/adaptrack/core/built src/adaptrack/export/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -265,7 +265,6 @@ def users_solver() -> Any:
 
     class Own(QPSolver):
         name = "own"
-        accuracy = 1e-9
 
         def __init__(self) -> None:
             super().__init__()

@@ -201,18 +201,6 @@ def controller(axes: Axes) -> None:
     axes.legend()
 
 
-def process(axes: Axes) -> None:
-    """A simulator in another process follows a path; steering angle over time."""
-    example = Path(__file__).resolve().parent.parent / "examples" / "simulator_in_another_process.py"
-    with at.ProcessPlant([sys.executable, str(example), "--serve"]) as other:
-        mpc = at.MPC(at.load_vehicle("paper"), profile="road")
-        run = at.simulate(other, mpc, at.load_scenario("sine", duration=15.0), profile="road")
-    axes.plot(run.t, np.degrees(run.steering), color=BLUE, label="wheels")
-    axes.plot(run.t, np.degrees(run.command), color=ORANGE, lw=1.0, label="command")
-    axes.set(xlabel="time (s)", ylabel="steering angle (°)")
-    axes.legend()
-
-
 def snippet(page: str, part: str = "") -> dict:
     """The names that the Python blocks of a page of the gallery leave, or those blocks that hold a part of text."""
     text = (Path(__file__).resolve().parent / "gallery" / page).read_text()
@@ -230,7 +218,7 @@ def snippet(page: str, part: str = "") -> dict:
 PICTURES: dict[str, Callable[[Axes], None]] = {
     each.__name__: each
     for each in (
-        drive, road, car, tyre, log, learning, manoeuvre, paper, scheduler, certificate, plant, controller, process,
+        drive, road, car, tyre, log, learning, manoeuvre, paper, scheduler, certificate, plant, controller,
     )
 }  # fmt: skip
 

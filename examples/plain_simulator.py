@@ -54,8 +54,8 @@ def main(seconds: float = 20.0) -> float:
     """Drive, and give the RMS (m) of the distance from the path."""
     s = np.arange(0.0, 400.0, 5.0)
     path = at.fit_road(np.stack([s, 15.0 * (1.0 - np.cos(s / 50.0))], axis=-1), name="through points")
-    steering = at.Steering(lag=0.15, dead_time=0.0, rate=0.5)  # the profile "road" adds 0.05 s of computation
-    tracker = at.Tracker(at.MPC(at.load_vehicle("paper"), profile="road", belief=steering), path)
+    steering = at.Steering(lag=0.15, dead_time=0.05, rate=0.5)
+    tracker = at.Tracker(at.MPC(at.load_vehicle("paper"), belief=steering), path)
     car, offsets, dt = Bicycle(), [], 0.001
     for k in range(round(seconds / dt)):
         if k % 50 == 0:  # 20 Hz

@@ -7,7 +7,6 @@ import http.server
 import json
 import os
 import queue
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -16,9 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-"""The path of a Chromium; None where there is none."""
-NONE = "no Chromium on the path (Debian: apt install chromium)"
+from programs import SANDBOX, find_program
+
 _SCHEMES = {"light": 1, "dark": 0}
 """Chromium's numbers of `prefers-color-scheme`."""
 
@@ -74,10 +72,10 @@ def shoot(url: str, png: Path, size: tuple[int, int], *, scheme: str = "light", 
 def _command(own: str, scheme: str, *options: str) -> list[str]:
     """own: a folder for what the browser keeps."""
     return [
-        str(PROGRAM), "--headless", "--disable-gpu", "--hide-scrollbars", "--mute-audio", "--no-first-run",
+        find_program("chromium"), "--headless", "--disable-gpu", "--hide-scrollbars", "--mute-audio", "--no-first-run",
         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", f"--user-data-dir={own}/profile",
         f"--blink-settings=preferredColorScheme={_SCHEMES[scheme]}",
-        *(["--no-sandbox"] if os.geteuid() == 0 else []), *options,
+        *SANDBOX, *options,
     ]  # fmt: skip
 
 

@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import select
-import shutil
 import signal
 import socket
 import subprocess
@@ -22,9 +21,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import browser
+from programs import find_program
 
-FIREFOX = next(filter(None, map(shutil.which, ("firefox", "firefox-esr"))), None)
-NO_FIREFOX = "no Firefox on the path (Debian: apt install firefox-esr)"
 _KEYS = {
     "Tab": ("Tab", 9, ""), "Enter": ("Enter", 13, "\r"), " ": ("Space", 32, " "), "Escape": ("Escape", 27, ""),
     "ArrowLeft": ("ArrowLeft", 37, ""), "ArrowUp": ("ArrowUp", 38, ""), "ArrowRight": ("ArrowRight", 39, ""),
@@ -33,6 +31,7 @@ _KEYS = {
 """key: (code, virtual key code, text)"""
 _PIPES = """
 import os, sys
+from programs import find_program
 given = [os.dup(int(each)) for each in sys.argv[1:3]]
 given = [os.dup(os.dup(each)) for each in given]
 for place, each in zip((3, 4), given): os.dup2(each, place)
@@ -275,8 +274,8 @@ class Firefox:
         (profile / "user.js").write_text("\n".join(lines))
         self._log = open(profile / "log", "wb")  # noqa: SIM115
         command = [
-            str(FIREFOX), "--headless", "--no-remote", "--marionette", "--remote-allow-system-access", "--profile",
-            str(profile), "about:blank",
+            find_program("firefox"), "--headless", "--no-remote", "--marionette", "--remote-allow-system-access",
+            "--profile", str(profile), "about:blank",
         ]  # fmt: skip
         places = {**os.environ, "HOME": self._own.name, "MOZ_DISABLE_CONTENT_SANDBOX": "1"}
         self._process = subprocess.Popen(
@@ -398,5 +397,5 @@ def _wait(page: Any, condition: str, seconds: float | None) -> Any:
         time.sleep(0.02)
 
 
-BROWSERS = {"chromium": (Chromium, browser.PROGRAM, browser.NONE), "firefox": (Firefox, FIREFOX, NO_FIREFOX)}
-"""name: (class, path of the program or None, what to install)"""
+BROWSERS = {"chromium": Chromium, "firefox": Firefox}
+"""The class of each browser."""

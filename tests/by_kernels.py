@@ -28,11 +28,13 @@ def ordered(vehicle, options):
     name, mode = options.get("profile"), options.get("learning", "auto")
     world = load_profile(name or "road")
     method = face.UNASKED if mode in (None, "auto") else mode
+    loop = world.numbers(world.period)
+    loop.computation = 0.0 if name is None else loop.computation
     order = face._order(
-        vehicle, world.numbers(world.period), known_steering(vehicle, options.get("belief"), world, name is not None),
+        vehicle, loop, known_steering(vehicle, options.get("belief"), world, name is not None),
         options.get("uncertainty"), method,
     )  # fmt: skip
-    order.learning, order.alone = informed.NEVER if mode is None else informed.UNLESS_SAID, name is None
+    order.learning = informed.NEVER if mode is None else informed.UNLESS_SAID
     row = informed.Parts.new(1)
     usual = np.zeros(size_of(filter.Filter))
     filter.usual_filter(usual)

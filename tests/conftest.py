@@ -27,6 +27,7 @@ import typer.main
 from hypothesis import HealthCheck, settings
 
 from pictures import pictures
+from programs import find_program
 
 settings.register_profile(
     "adaptrack",
@@ -45,6 +46,12 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Pictures are drawn in tests marked `drawn` alone."""
     with pictures(drawn=item.get_closest_marker("drawn") is not None):
         return (yield)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test whose mark `needs` names a program that does not work."""
+    for mark in item.iter_markers("needs"):
+        find_program(mark.args[0])
 
 
 def pytest_collection_finish() -> None:
@@ -69,7 +76,7 @@ def project() -> Path:
 def run_python() -> Callable[..., str]:
     """Run code (or interpreter arguments) in a fresh interpreter; its standard output, or its errors in the failure."""
 
-    def run(*arguments: str, code: str | None = None, cwd: Path | None = None, timeout: float = 120.0) -> str:
+    def run(*arguments: str, code: str | None = None, cwd: Path | None = None, timeout: float = 600.0) -> str:
         command = [sys.executable, *(("-c", code) if code is not None else ()), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=timeout, check=False)
         assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stderr}"

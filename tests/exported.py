@@ -1,28 +1,21 @@
 """C sources of an export, compiled and called from the tests."""
 
 import ctypes
-import shutil
 import subprocess
 import zlib
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import adaptrack.export
 from adaptrack.core.kernel import EXPORTED
+from programs import find_program
 
 SOURCES = Path(adaptrack.export.__file__).parent / "c"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
 (OK, BAD_ARGUMENT, TOO_SMALL, NOT_READY, BUSY, DAMAGED, OTHER_VERSION, OTHER_KIND, OTHER_SIZES, OTHER_CONSTANTS,
  OTHER_PATH, ARITHMETIC, BAD_PATH, OUT_OF_ORDER) = range(14)  # fmt: skip
-
-
-def compiler(name="gcc"):
-    if shutil.which(name) is None:
-        pytest.skip(f"{name} is not installed")
-    return name
 
 
 class Function(ctypes.Structure):
@@ -31,14 +24,14 @@ class Function(ctypes.Structure):
 
 class Reader(ctypes.Structure):
     _fields_ = (("kernels", ctypes.c_uint64), ("kind", ctypes.c_uint32), ("functions", ctypes.POINTER(Function)),
-                ("count", ctypes.c_size_t))  # fmt: skip
+                ("count", ctypes.c_size_t), ("check", ctypes.c_void_p))  # fmt: skip
 
 
 @cache
 def _library(folder):
     made = Path(folder) / "block.so"
     source = SOURCES / "adaptrack_block.c"
-    subprocess.run([compiler(), *STRICT, "-O1", "-shared", "-fPIC", str(source), "-o", str(made)], check=True)
+    subprocess.run([find_program("gcc"), *STRICT, "-O1", "-shared", "-fPIC", str(source), "-o", str(made)], check=True)
     library = ctypes.CDLL(str(made))
     library.adaptrack_block_state_size.restype = library.adaptrack_block_memory.restype = ctypes.c_size_t
     library.adaptrack_block_record.restype = ctypes.c_void_p

@@ -1,7 +1,6 @@
 """The C++ node of the ROS 2 example without ROS: its logic behind the interface of the Python one, its shell too."""
 
 import ctypes
-import shutil
 import subprocess
 from functools import cache
 
@@ -10,6 +9,7 @@ import pytest
 
 import adaptrack as at
 from adaptrack.export.c_library import KERNELS_FILE, list_targets, own_target
+from programs import find_program
 from ros_messages import PACKAGE, package_module
 
 follower, seconds = package_module("follower"), package_module("messages").seconds
@@ -35,8 +35,8 @@ def run(*command):
 @cache
 def controller(folder):
     """The folder of the exported controller, and the objects of its C sources."""
-    if shutil.which("g++") is None or shutil.which("gcc") is None:
-        pytest.skip("no gcc, g++")
+    find_program("g++")
+    find_program("gcc")
     if own_target() not in list_targets():
         pytest.skip("the kernels were built without object files: python -m adaptrack.core.build --export")
     package_module("export_controller").export(follower.Parameters(), folder)

@@ -103,6 +103,21 @@ def test_segments_counted_from_simulated_runs_are_those_of_the_kernel_failed_one
     assert np.isinf(simulated).any()  # one has failed
 
 
+def test_compiled_runs_refuse_a_stepped_plant_with_the_remedy():
+    with pytest.raises(at.InvalidInput, match=r"use simulate\(\.\.\.\)"):
+        at.rollout_batch(Sliding(CAR), at.MPC(CAR, profile="road"), [at.load_scenario("sine")], profile="road")
+
+
+def test_a_stepped_motion_that_is_not_finite_ends_the_run_as_failed():
+    class Broken(Sliding):
+        def step(self, dt, steering, acceleration, environment):
+            return np.full(6, math.nan)
+
+    scenario = at.load_scenario("lane-change", duration=2.0)
+    run = at.simulate(Broken(CAR), at.MPC(CAR, profile="road"), scenario, profile="road")
+    assert run.failed == "not-finite"
+
+
 @pytest.mark.compiled
 def test_costs_and_swarms_run_by_run_are_those_of_the_kernel():
     target = Objective(

@@ -1,12 +1,14 @@
-"""Who says what of the steering, who learns where nobody says it, and how far a learned belief is said to be right."""
+"""Where the steering parameters come from, who learns where nobody says them, and how far a learned belief is right."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
 import json
+import logging
 import math
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,13 +20,20 @@ from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import KnownWithin, Steering, SteeringActuator, load_vehicle
 from adaptrack.cli.app import app
-from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller
-from adaptrack.control.controllers.belief import TO_LEARN
+from adaptrack.cli.export import ExportedController, ExportOptions
+from adaptrack.cli.options import CarAndPlant, DriveSettings
+from adaptrack.cli.simulate import ControllerSettings, learning_of, make_controller
+from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller, published_mpc
+from adaptrack.control.controllers.belief import ASSUMED, TO_LEARN
 from adaptrack.control.controllers.learned import UNKNOWN_CAR
 from adaptrack.core.estimators.learning import BELIEF, BELIEFS, QUANTITIES_BOUNDED
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.drive.world import World, _warn
+from adaptrack.peers.kinematic_mpc import KinematicMPC
+from adaptrack.peers.mppi import MPPI
+from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.results.certificate import certificate_result
 from adaptrack.results.drive import drive_result
 from adaptrack.results.record import DriveRecord
@@ -126,8 +135,137 @@ def test_in_a_loop_of_ones_own_the_computation_is_learned_with_the_dead_time():
     assert (own.belief.computation.value, named.belief.computation.value) == (0.0, named.period)
     assert ranges(own).dead_time[0] == 0.0
     assert ranges(own).dead_time[1] >= ranges(named).dead_time[1]
-    told = MPC(CAR, learning=LEARNING, belief=Steering(dead_time=0.1))
-    assert told.belief.computation.value == named.period
+
+
+# -- the guide's table ------------------------------------------------------------------------------------------------
+def commanded(**drive):
+    """The informed controller of `simulate` with these options."""
+    world = load_profile("road")
+    learning = learning_of(DriveSettings(**drive))
+    return make_controller("informed", ControllerSettings(CAR, world, world.period, True, learning=learning))[1]
+
+
+def exported(car, **options):
+    """The controller of `export c` with these options."""
+    choice = ExportOptions(out=Path(), which=ExportedController(car=CarAndPlant()), **options)
+    return choice.which.make(car, load_profile(choice.which.profile), choice.computation)
+
+
+STEERING = Steering(lag=0.2, dead_time=0.1)
+FROM_FILE, FROM_PROFILE, GIVEN, LEARNED = (
+    ("car file paper",) * 2,
+    ("profile road",) * 2,
+    ("given",) * 2,
+    (TO_LEARN,) * 2,
+)
+PART, NAMED = CAR.replace(steering=Steering(lag=0.1)), {"profile": "road"}
+ROWS = [
+    ("`MPC(car)`, car file with lag", lambda: MPC(KNOWN), FROM_FILE, 0.0, False),
+    ("`MPC(car)`, car file without", lambda: MPC(PART), ("car file paper", TO_LEARN), 0.0, True),
+    ("`MPC(car, belief=at.Steering(lag=0.2, dead_time", lambda: MPC(KNOWN, belief=STEERING), GIVEN, 0.0, False),
+    ("`MPC(car, belief=at.Steering(lag=0.2))`", lambda: MPC(KNOWN, belief=Steering(lag=0.2)),
+     ("given", "car file paper"), 0.0, False),
+    ('`MPC(car, belief="unknown")`', lambda: MPC(KNOWN, belief="unknown"), LEARNED, 0.0, True),
+    ("`MPC(car, learning=None)`", lambda: MPC(CAR, learning=None), (ASSUMED,) * 2, 0.0, False),
+    ("`MPC(car, computation=0.02)`", lambda: MPC(KNOWN, computation=0.02), FROM_FILE, 0.02, False),
+    ('`MPC(car, profile="road")`', lambda: MPC(CAR, **NAMED), FROM_PROFILE, 0.05, False),
+    ('`MPC(car, profile="road", comp', lambda: MPC(CAR, **NAMED, computation=0.0), FROM_PROFILE, 0.0, False),
+    ('`MPC(car, profile="road", learn', lambda: MPC(KNOWN, **NAMED, learning=LEARNING), FROM_FILE, 0.05, True),
+    ("`drive`, `simulate`", commanded, FROM_PROFILE, 0.05, False),
+    ("`drive --learn`", lambda: commanded(learn=True), LEARNED, 0.05, True),
+    ("`export c`", lambda: exported(KNOWN), FROM_FILE, 0.0, False),
+]  # fmt: skip
+"""Start of a row, its controller, sources of lag and dead time, computation time (s), and whether it learns."""
+
+
+@pytest.mark.parametrize(
+    ("make", "sources", "computation", "learns"), [row[1:] for row in ROWS], ids=[r[0] for r in ROWS]
+)
+def test_the_steering_parameters_come_from_where_the_guide_says(make, sources, computation, learns):
+    mpc = make()
+    assert (mpc.belief.lag.source, mpc.belief.dead_time.source) == sources
+    assert mpc.belief.computation.value == computation
+    assert (mpc.learner is not None) == learns
+
+
+def test_every_row_of_the_guide_is_tested():
+    guide = Path(__file__).parents[1].joinpath("docs/guide.md").read_text()
+    section = guide.split("## Where the steering parameters come from\n")[1].split("\n## ")[0]
+    rows = [line.removeprefix("| ") for line in section.splitlines() if line.startswith("| `")]
+    assert [line for line, row in zip(rows, ROWS, strict=True) if not line.startswith(row[0])] == []
+
+
+# -- computation time -------------------------------------------------------------------------------------------------
+def test_a_computation_time_adds_to_the_dead_time_wherever_it_is_stated():
+    for stated in (0.0, 0.03):
+        delays = [
+            MPC(CAR, belief=STEERING, computation=stated).model.dead_time,
+            KinematicMPC(CAR, belief=STEERING, computation=stated).belief.delay,
+            PreviewLQR(CAR, belief=STEERING, computation=stated).belief.delay,
+            MPPI(CAR, belief=STEERING, computation=stated).car.belief.delay,
+        ]
+        assert delays == pytest.approx([0.1 + stated] * 4)
+    assert KinematicMPC(KNOWN).belief.delay == PreviewLQR(KNOWN).belief.delay == MPPI(KNOWN).car.belief.delay == 0.05
+    assert exported(KNOWN, computation=0.02).model.dead_time == pytest.approx(0.07)
+
+
+def test_a_controller_that_learns_counts_a_stated_computation_time_before_the_dead_time():
+    plain, stated = MPC(CAR, learning=LEARNING), MPC(CAR, learning=LEARNING, computation=0.05)
+    assert (
+        stated.learner.parameters().tobytes()
+        == MPC(CAR, profile="road", learning=LEARNING).learner.parameters().tobytes()
+    )
+    assert stated.model.dead_time == pytest.approx(plain.model.dead_time + 0.05)
+
+
+@pytest.mark.parametrize("make", [MPC, KinematicMPC, PreviewLQR, MPPI])
+@pytest.mark.parametrize("computation", [-0.01, math.nan, 2.0])
+def test_an_impossible_computation_time_is_refused(make, computation):
+    with pytest.raises(InvalidInput, match="computation"):
+        make(CAR, computation=computation)
+
+
+def test_a_model_of_ones_own_takes_no_computation_time():
+    assert published_mpc(CAR, computation=0.0).model.dead_time == 0.0
+    with pytest.raises(InvalidInput, match="computation"):
+        published_mpc(CAR, computation=0.05)
+
+
+@compiled
+@pytest.mark.parametrize("stated", ["belief", "car file"])
+def test_the_true_steering_drives_no_worse_than_an_unknown_one(stated):
+    car, road = load_vehicle("midsize-sedan"), generate_road("mountain", seed=2, length=600.0)
+    drive, world = RoadDrive(road, plan_speed(road, car)), load_profile("road").replace(delay=0.0)
+    true = Steering(lag=world.steering.lag, dead_time=0.0, rate=world.steering.rate)
+
+    def mean_square(mpc):
+        tunings = np.tile(mpc.tuning.as_array(), (3, 1))
+        runs = rollout_batch(DualTrack(car), mpc, [drive], tunings, which=[0] * 3, profile=world, seeds=np.arange(3))
+        return runs.mse.mean()
+
+    known = MPC(car, belief=true) if stated == "belief" else MPC(car.replace(steering=true))
+    assert mean_square(known) <= mean_square(MPC(car))
+
+
+@pytest.mark.parametrize(
+    ("mpc", "profile", "differs"),
+    [
+        (MPC(KNOWN), "road", "0 s (default), profile 'road' simulates 0.05 s"),
+        (MPC(KNOWN, computation=0.05), "paper", "0.05 s (given), profile 'paper' simulates 0 s"),
+        (MPC(CAR, computation=0.05), "paper", "0.05 s (given), profile 'paper' simulates 0 s"),
+        (KinematicMPC(KNOWN), "road", "0 s (default), profile 'road' simulates 0.05 s"),
+        (MPC(CAR), "road", None),
+        (MPC(KNOWN, profile="road"), "road", None),
+        (MPC(KNOWN.replace(steering=Steering(lag=0.1, dead_time=0.1))), "road", None),
+    ],
+    ids=["too short", "too long", "learning, too long", "another controller", "learning", "equal", "as dead time"],
+)
+def test_a_simulation_says_where_controller_and_profile_differ(mpc, profile, differs, caplog):
+    _warn.cache_clear()
+    plant = DualTrack(CAR, steering=SteeringActuator(lag=0.1, dead_time=0.05))
+    with caplog.at_level(logging.WARNING, "adaptrack"):
+        World.of(plant, mpc, profile, None, None, None)
+    assert ("computation time of " + (differs or "") in caplog.text) == (differs is not None)
 
 
 @compiled

@@ -202,6 +202,22 @@ def test_kernels_of_two_objects_call_each_other_and_give_the_bits_of_one(tmp_pat
     assert (np.isfinite(answers[0]).sum(axis=1) > 0).all()
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"", b"\xff\xfe", b"[" * 100_000, b"null", b"[]", b"{}", b'{"sources": []}',
+        *(f'{{"sources": {{}}, "{name}": {table}}}'.encode() for name in ("libraries", "exports", "kernels")
+          for table in ('{"x": null}', "1", '[["x", 1]]', '{"x": {"file": 1, "sha256": "0"}}')),
+        b'{"sources": {}, "kernels": {"x": [[]]}}',
+    ],
+)  # fmt: skip
+def test_a_damaged_manifest_is_refused_by_name(quick, content):
+    (quick / library.MANIFEST).write_bytes(content)
+    for read in (library.manifest, lambda: library.export_of("x86-64-v3"), library.Library):
+        with pytest.raises(ValueError, match=r"manifest\.json is damaged: "):
+            read()
+
+
 # -- what other programs take in --------------------------------------------------------------------------------------
 def test_what_is_packed_is_found_in_the_archive_and_a_damaged_file_is_not(quick, tmp_path):
     builder.build(exports=["cortex-m7"])

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-import browser
 from adaptrack.results.drive import write_drive_page
 from made_drives import bend, made_drive
 
-pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+pytestmark = pytest.mark.needs("chromium")
 
 WRONG = r"""<!doctype html><html><head><meta charset="utf-8"></head><body style="margin: 0">
 <div style="width: 3000px">wide</div> \(x\) <img src="https://example.org/a.png">

@@ -163,6 +163,25 @@ def test_what_is_kept_is_forgotten_by_the_next_command(monkeypatch, capsys):
     assert interrupt.what_is_kept() == "Nothing was written."
 
 
+def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(monkeypatch, capsys):
+    from adaptrack import scenario
+
+    class Resource:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def release(*arguments, **options):
+        Resource()
+        time.sleep(5.0)
+        pytest.fail("Ctrl-C was not heard")
+
+    hook = sys.unraisablehook
+    monkeypatch.setattr(cli, "REPEAT", 0.05)
+    monkeypatch.setattr(scenario, "list_scenarios", release)
+    assert run(monkeypatch, capsys, "scenarios") == (130, "", "adaptrack: interrupted. Nothing was written.\n")
+    assert sys.unraisablehook is hook
+
+
 def test_an_end_of_file_within_a_command_is_no_ctrl_c(monkeypatch, capsys):
     from adaptrack import scenario
 

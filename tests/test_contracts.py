@@ -1,8 +1,10 @@
 """It grows: a model of another size, a controller, an estimator and plants of one's own drive without a line in src."""
 
+import importlib
 import inspect
 import json
 import math
+import re
 import sys
 from html import unescape
 from pathlib import Path
@@ -305,6 +307,28 @@ def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_st
     ):
         assert plugged(*arguments) == 2
         assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("source", "fault"),
+    [
+        (b"x = 1\n\ndef f(:\n", "line 3: SyntaxError: invalid syntax"),
+        (b"import json\njson.loads('[')\n", r"line 2: (json\.decoder\.)?JSONDecodeError"),
+        (b"def f():\n    1 / 0\nf()\n", "line 2: ZeroDivisionError: division by zero"),
+        (b"import no_such_module_at_all\n", "line 1: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
+        (b"e = ValueError('x')\ne.add_note('why')\nraise e\n", "line 3: ValueError: x"),
+        (b"raise SystemExit(0)\n", "line 1: SystemExit: 0"),
+        (b"a = '\xe9'\n", r"line 1: SyntaxError: \(unicode error\)"),
+        (b"a = '\0'\n", "SyntaxError: source code string cannot contain null bytes"),
+        (b"import adaptrack as at\nat.register_plant('dual-track', print)\n", "line 2: .*choose another name"),
+    ],
+)
+def test_a_plugin_that_fails_is_refused_with_its_line(source, fault, plugged, capsys, monkeypatch):
+    Path("faulty.py").write_bytes(source)
+    monkeypatch.delitem(sys.modules, "faulty", raising=False)
+    importlib.invalidate_caches()
+    assert plugged("simulate", "step", "--plugin", "faulty") == 2
+    assert re.search(rf"^adaptrack: plugin faulty: .*({fault}).*; correct the module\.$", capsys.readouterr().err)
 
 
 def test_a_stepped_plant_steers_behind_the_profiles_actuator():

@@ -3,10 +3,14 @@
 import json
 import os
 
+import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from adaptrack.base import files
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import (
     Record,
@@ -20,6 +24,7 @@ from adaptrack.base.files import (
     write_atomically,
     write_json,
 )
+from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.scenario import load_scenario
 
 NASTY = [
@@ -79,6 +84,7 @@ BAD_TOML = [
     ("x = " + "{ a = " * DEEP + "1" + " }" * DEEP, "line 1: more than 64 tables"),
     (".".join(["a"] * DEEP) + " = 1", "a.*: more than 64 tables in one another"),
     ("[" + ".".join(["a"] * DEEP) + "]\nx = 1", "a.*: more than 64 tables in one another"),
+    ("# " + "[" * 80 + "\nmass = 1 2", r"line 2, column \d+: not valid TOML"),
     ("mass = 1\n\nx = " + "7" * 5_000, "line 3: a number with too many digits"),
     ('name = "a\\u0000b"', r"name = 'a\\x00b': holds a NUL or half a character"),
     ('[[box]]\n"k\\u0000" = 1', r"key 'k\\x00': holds a NUL"),
@@ -90,6 +96,8 @@ BAD_JSON = [
     ('{"name": "\\u0000"}', r"name = '\\x00': holds a NUL"),
     ('{"mass": 1,\n"x" 2}', r"line 2, column 5: not valid JSON: Expecting ':' delimiter"),
     ("[" * 80 + "]" * 80, "more than 64 tables in one another"),
+    ('{"a": "' + "]" * 5_000 + '",\n"x": ' + "[" * DEEP, "line 2: more than 64 tables in one another"),
+    ('{"mass": 1,\n"x": "' + "[" * 80 + '" 2}', r"line 2, column 89: not valid JSON: Expecting ',' delimiter"),
 ]
 
 
@@ -153,3 +161,43 @@ def test_a_link_is_replaced_when_asked_for(tmp_path):
     write_atomically(tmp_path / "link", b"new", through_links=False)
     assert (tmp_path / "mine.txt").read_text() == "years of work"
     assert not (tmp_path / "link").is_symlink()
+
+
+# -- Parquet ----------------------------------------------------------------------------------------------------------
+READERS = {
+    "log": lambda file: read_columns(file, Reading()),
+    "data set": lambda file: files.decode_parquet(file.read_bytes(), file, "adaptrack data set", 1, "make it again"),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_table_of_too_many_numbers_is_refused_before_it_is_read(kind, tmp_path, monkeypatch):
+    """A constant column of 800 million rows is 4 MB in a file and 6 GB in memory."""
+    file = tmp_path / "bomb.parquet"
+    pyarrow.parquet.write_table(pyarrow.table({"time": np.zeros(1000), "x": [[1.0, 2.0]] * 1000}), file)
+    monkeypatch.setattr(files, "MAX_NUMBERS", 2999)
+    monkeypatch.setattr(pyarrow.parquet.ParquetFile, "read", lambda *_, **__: pytest.fail("it was read"))
+    with pytest.raises(StorageError, match=r"bomb\.parquet: holds 3,000 numbers, more than 2,999; leave out"):
+        READERS[kind](file)
+
+
+def test_a_log_with_two_columns_of_one_name_is_read(tmp_path):
+    columns = [pyarrow.array([0.0, 0.1]), pyarrow.array([1.0, 1.0]), pyarrow.array([2.0, 2.0])]
+    table = pyarrow.Table.from_arrays(columns, names=["time", "a", "a"])
+    pyarrow.parquet.write_table(table, tmp_path / "twice.parquet")
+    assert list(READERS["log"](tmp_path / "twice.parquet").values["time"]) == [0.0, 0.1]
+
+
+def test_a_log_is_read_without_threads_that_outlive_an_error(tmp_path, monkeypatch):
+    """One that read on while Python exited aborted half of the commands on a log with a line of 20 MB."""
+    threads = []
+
+    def read_csv(source, read_options, **options):
+        threads.append(read_options.use_threads)
+        assert isinstance(source, pyarrow.BufferReader)  # a Python file needs the interpreter that exits
+        return pyarrow.table({"time": [0.0, 1.0]})
+
+    monkeypatch.setattr("pyarrow.csv.read_csv", read_csv)
+    (tmp_path / "log.csv").write_text("time\n0\n1\n")
+    READERS["log"](tmp_path / "log.csv")
+    assert threads == [False]

@@ -24,8 +24,9 @@ from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
 from adaptrack.export.tracking import record_of
 from adaptrack.export.units import car_unit, controller_unit
-from exported import STRICT, compiler
+from exported import STRICT
 from fmus import Instance, Signals, needed
+from programs import find_program
 
 pytestmark = [pytest.mark.compiled, needed]
 SOURCES = Path(adaptrack.export.__file__).parent
@@ -402,7 +403,7 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
         if source.suffix == ".c":
             include = ["-I", str(SOURCES / "c"), "-I", str(SOURCES / "fmu_c")]
             made = ["-c", str(source), "-o", str(tmp_path / "made.o")]
-            subprocess.run([compiler(), *STRICT, "-Wno-pedantic", *options, *include, *made], check=True)
+            subprocess.run([find_program("gcc"), *STRICT, "-Wno-pedantic", *options, *include, *made], check=True)
 
 
 # -- without FMPy -----------------------------------------------------------------------------------------------------
@@ -412,13 +413,13 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     binary = fmu_build.BUILT / f"fmu-{system}.{own.ending}"
     if not binary.exists():
         pytest.skip(f"the binary for {system} is not built")
-    wine = [] if system == "linux" else [shutil.which("wine64") or "/usr/lib/wine/wine64"]
-    if wine and not Path(wine[0]).exists():
-        pytest.skip("wine is not installed")
+    wine = [] if system == "linux" else [find_program("wine64")]
     unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if wine else "driver")
     libraries = [] if wine else ["-ldl"]
     source = Path(__file__).parent / "processors" / "fmu_driver.c"
-    subprocess.run([compiler(own.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True)
+    subprocess.run(
+        [find_program(own.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True
+    )
     block = constants(unit)
     (tmp_path / "constants.bin").write_bytes(block.content)
     place = "." if wine else str(tmp_path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import pickle
-import shutil
 import subprocess
 import sys
 
@@ -285,7 +284,7 @@ int main(void) {{
 
 
 @needs_compiled
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@pytest.mark.needs("gcc")
 def test_the_header_describes_the_library_to_c(built, tmp_path):
     from adaptrack.core.controllers.mpc import Mpc, Settings
     from adaptrack.core.plants.contract import STATE

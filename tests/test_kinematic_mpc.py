@@ -11,13 +11,13 @@ from scipy.signal import butter, lfilter
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering
-from adaptrack.control.qp import get_qp_solver
 from adaptrack.core.controllers.contract import planned_speed
 from adaptrack.peers.kernels import kinematic_mpc as kernel
 from adaptrack.peers.kinematic_mpc import WEIGHTS, KinematicMPC, kinematic_model
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead, straight
 from inlined import entry
+from references.daqp import Daqp
 from references.kinematic_mpc import cost, derivatives
 
 pytestmark = pytest.mark.kernels
@@ -93,7 +93,7 @@ def test_the_law_applies_the_first_input_of_the_dense_problem(limits, profile, r
         start = y - CAR.lr * math.sin(yaw), yaw
         state = rolled(controller, start, commands, lambda begin, end: (speed, 0.0))
         problem = controller.problem(state, np.full(n, speed), np.zeros(n), (commands[-1], commands[-2]))
-        expected = get_qp_solver("daqp").solve(problem)
+        expected = Daqp().solve(problem)
         answer = controller.step([0.0, yaw, 0.0, y], speed, np.zeros(100))
         assert answer.diagnostics["qp_status"] == 0
         assert answer.angle == pytest.approx(expected.x[0], abs=1e-6)

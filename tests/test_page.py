@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-import browser
 import page_drives
 from adaptrack import cli
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
@@ -18,9 +16,10 @@ from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from browsers import BROWSERS, Chromium
 from pages import READY, STATE, differing, drive, exported, served
+from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
-CHROMIUM = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+CHROMIUM = pytest.mark.needs("chromium")
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +31,8 @@ def page(tmp_path_factory):
 @pytest.fixture(scope="module", params=BROWSERS)
 def opened(request, page):
     """The page, open in a browser, and paused."""
-    kind, program, missing = BROWSERS[request.param]
-    if program is None:
-        pytest.skip(missing)
-    with kind() as shown:
+    find_program(request.param)
+    with BROWSERS[request.param]() as shown:
         shown.open(page.as_uri())
         shown.wait(READY)
         shown.run("adaptrackPage.pause()")
@@ -45,8 +42,7 @@ def opened(request, page):
 @pytest.fixture(scope="module")
 def chromium(page):
     """The page in Chromium alone."""
-    if browser.PROGRAM is None:
-        pytest.skip(browser.NONE)
+    find_program("chromium")
     with Chromium() as shown:
         yield shown
 
@@ -84,11 +80,10 @@ def test_files_of_a_script_share_no_name():
 
 
 def test_scripts_of_the_page_can_be_read():
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
+    node = find_program("node")
     others = {each.name for each in page_file.SOURCES.glob("*.js")} - set(page_file.ENGINE)
     for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(others)))):
-        subprocess.run(["node", "--check", "-"], input=script, text=True, check=True)
+        subprocess.run([node, "--check", "-"], input=script, text=True, check=True)
         assert "</script" not in script
 
 
@@ -149,10 +144,8 @@ def test_names_are_refused_by_their_own_kind(tmp_path):
      pytest.param("firefox", "server", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
-    kind, program, missing = BROWSERS[name]
-    if program is None:
-        pytest.skip(missing)
-    with served(page.parent) as (address, paths), kind() as shown:
+    find_program(name)
+    with served(page.parent) as (address, paths), BROWSERS[name]() as shown:
         shown.open(page.as_uri() if way == "disk" else f"{address}/{page.name}")
         shown.wait(READY)
         shown.wait(f"{STATE}.cars[0].last.station > 1")

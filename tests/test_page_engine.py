@@ -2,7 +2,6 @@
 
 import functools
 import json
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from adaptrack.export import page_setup
 from adaptrack.export.page_inputs import page_car
 from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
+from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
 DRIVER = Path(__file__).parent / "processors" / "page.mjs"
@@ -32,8 +32,7 @@ DRIVER = Path(__file__).parent / "processors" / "page.mjs"
 @functools.cache
 def parts():
     """Worker, kernels and data of the page; skips where they are not there."""
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
+    find_program("node")
     from adaptrack.export.page_data import page_data
     from adaptrack.export.page_file import ENGINE, _together
     from adaptrack.export.page_kernels import page_kernels

@@ -5,7 +5,6 @@ import json
 import pytest
 
 import adaptrack as at
-import browser
 from adaptrack.core.kernel import INTERPRETED
 from browsers import Chromium
 from pages import READY, STATE
@@ -13,7 +12,7 @@ from pages import READY, STATE
 pytestmark = [
     pytest.mark.compiled,
     pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled"),
-    pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE),
+    pytest.mark.needs("chromium"),
 ]
 
 

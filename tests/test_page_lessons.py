@@ -1,7 +1,6 @@
 """What the page says is true: each lesson with the setup that it sets, the Python lines, the links."""
 
 import json
-import shutil
 import subprocess
 
 import numpy as np
@@ -11,12 +10,12 @@ from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_setup
 from adaptrack.export.page_file import SOURCES
 from adaptrack.export.page_setup import simulate_setup
+from programs import find_program
 
-NODE = shutil.which("node")
 pytestmark = [
     pytest.mark.compiled,
     pytest.mark.skipif(INTERPRETED, reason="whole drives"),
-    pytest.mark.skipif(NODE is None, reason="no Node on the path (Debian: apt install nodejs)"),
+    pytest.mark.needs("node"),
 ]
 ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.ROADS}
 FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
@@ -29,7 +28,9 @@ def asked(expression, given=None):
     const asked = {json.dumps(given)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
     {script.replace('"use strict";', "")}
     process.stdout.write(JSON.stringify({expression}));"""
-    found = subprocess.run([NODE, "-"], input=whole, capture_output=True, text=True, timeout=60, check=True)
+    found = subprocess.run(
+        [find_program("node"), "-"], input=whole, capture_output=True, text=True, timeout=60, check=True
+    )
     return json.loads(found.stdout)
 
 

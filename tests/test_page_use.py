@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-import browser
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.page_inputs import page_car
 from browsers import Chromium, Media
@@ -16,7 +15,7 @@ from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, exported
 pytestmark = [
     pytest.mark.compiled,
     pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled"),
-    pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE),
+    pytest.mark.needs("chromium"),
 ]
 WIDTHS = (320, 400, 800, 1400, 2200)
 OPEN_ALL = (

@@ -118,6 +118,67 @@ def test_a_path_is_read_as_it_was_written(tmp_path):
     assert read.table.pieces == pytest.approx(road.table.pieces, rel=0, abs=1e-15)
 
 
+# -- points that count as one -----------------------------------------------------------------------------------------
+SINE = np.stack([np.arange(60.0), 5.0 * np.sin(np.arange(60.0) / 30.0)], axis=-1)
+
+
+def sine_with(row, *offsets):
+    """The points of a sine with others behind one of them, at offsets (m) from it."""
+    return np.insert(SINE, row + 1, SINE[row] + np.array(offsets), axis=0)
+
+
+@pytest.mark.parametrize(
+    ("points", "repetitions"),
+    [
+        (sine_with(20, (-1e-4, 1e-3)), [21]),  # a planner's stop point
+        (sine_with(20, (0.0, 0.0), (0.05, -0.03), (0.0, 0.0)), [21, 22, 23]),  # a stop point at a seam, repeated
+        (np.concatenate([SINE[:1] - 0.003, SINE]), [1]),
+        (np.concatenate([SINE, SINE[-1:] + 0.003]), [59]),
+        (np.repeat(SINE, 2, axis=0), [*range(1, 119, 2), 118]),
+    ],
+)
+def test_a_point_nearer_to_another_than_its_error_is_repetitions_and_named(points, repetitions):
+    """The road stays within the error of its points, without the loop that turns by it."""
+    road, smooth = road_through(points), road_through(SINE)
+    foot = smooth.project(*road.at(np.linspace(0.0, road.length, 2000))[:2])
+    assert np.abs(foot.offset).max() < 5e-3
+    assert np.abs(road.at(np.linspace(0.0, road.length, 5000)).curvature).max() < 0.012  # 0.16 m is 6.2/m
+    rows = np.empty(len(points))
+    count = path.points_apart(points, False, rows)
+    assert sorted(set(range(len(points))) - set(rows[:count].astype(int))) == sorted(repetitions)
+    (note,) = road.notes
+    assert note.startswith(f"{len(repetitions)} of {len(points)} points left out")
+    assert f"point {repetitions[0]} (" in note
+
+
+@pytest.mark.parametrize("error", [(0.0, 0.0), (0.003, -0.002), (-0.002, 0.004)])
+def test_a_lap_whose_last_point_repeats_the_first_one_is_the_lap_without_it(error):
+    ring = np.concatenate([OVAL, OVAL[:1] + np.array(error)])
+    assert line_of(ring, closed=True).pieces.tobytes() == line_of(OVAL, closed=True).pieces.tobytes()
+
+
+@pytest.mark.parametrize("spacing", [1e-3, 0.05, 1.0, 300.0])
+def test_a_path_with_even_steps_keeps_its_points_however_dense(spacing):
+    points = spacing * SINE
+    rows = np.empty(len(points))
+    assert path.points_apart(points, False, rows) == len(points)
+    assert np.abs(road_through(points).project(*points.T).offset).max() < 1e-9 * max(spacing, 1.0)
+
+
+def test_points_that_are_denser_in_a_bend_stay():
+    """Steps of 5 m and, over more than a tenth of that, of 0.2 m; a pair that is more than 0.2 m apart."""
+    s = np.concatenate([np.arange(0.0, 50.0, 5.0), np.arange(50.0, 52.0, 0.2), [52.0, 57.0, 57.25, 62.0, 67.0]])
+    points = np.stack([s, 0.002 * s * s], axis=-1)
+    assert path.points_apart(points, False, np.empty(len(s))) == len(s)
+
+
+def test_the_heading_does_not_jump_where_a_stop_point_lies_beside_a_point():
+    """The heading to follow: in the loop it turned by more than 1 rad."""
+    road, smooth = road_through(sine_with(20, (-1e-4, 1e-3))), road_through(SINE)
+    s = np.linspace(0.0, min(road.length, smooth.length), 3000)
+    assert np.abs(road.at(s).heading - smooth.at(s).heading).max() < 1e-5
+
+
 # -- what is no path --------------------------------------------------------------------------------------------------
 def changed(row, value):
     points = BENDS.copy()
@@ -135,8 +196,8 @@ def changed(row, value):
         (changed(5, -math.inf), path.NOT_FINITE, 5),
         (changed(5, 1e9), path.TOO_FAR, 5),
         (changed(5, 2e4), path.TOO_FAR, 4),
-        (changed(5, BENDS[4]), path.TWICE, 4),
-        (changed(5, BENDS[4] + 1e-7), path.TWICE, 4),
+        (np.repeat(BENDS[:3], 4, axis=0), path.TOO_FEW, 3),
+        (np.zeros((9, 2)), path.TOO_FEW, 1),
         (1e-5 * BENDS, path.TOO_SHORT, 0),
         ([(3.0 - abs(k), 0.0) for k in range(-3, 4)], path.KINK, 3),
     ],

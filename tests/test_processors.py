@@ -1,8 +1,7 @@
 """Every processor gives the same bits: elementary functions, 3,000 steps of an MPC, ten drives, numbers of controllers.
 
 What is compared are the libraries that `python -m adaptrack.core.build aarch64 wasm32` has made. Those of other
-processors and systems are run by an emulator; for what is missing here, a test is skipped (Debian has `wine64` in
-/usr/lib/wine, which is not on the PATH).
+processors and systems are run by an emulator; for what is missing here, a test is skipped.
 """
 
 import ctypes
@@ -28,6 +27,7 @@ from adaptrack.road import plan_speed, road_through
 from by_kernels import CASES, prepared
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
+from programs import find_program
 from test_export_c import POINTS, calls
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
@@ -214,9 +214,7 @@ def same(found, expected):
 # -- who calls it -----------------------------------------------------------------------------------------------------
 def by_emulator(name, image, folder):
     compiler, emulator = EMULATED[name]
-    for tool in (compiler, emulator):
-        if shutil.which(tool) is None:
-            pytest.skip(f"{tool} is not installed")
+    compiler_path, emulator_path = find_program(compiler), find_program(emulator)
     names = image.functions
     (folder / "functions.h").write_text(
         "".join(f"extern void adaptrack_{each}(void);\n" for each in names)
@@ -224,16 +222,15 @@ def by_emulator(name, image, folder):
     )
     library_of_it = shutil.copy(built(name), folder / ("kernels.dll" if emulator == "wine64" else "kernels.so"))
     driver = str(folder / "driver.exe")
-    subprocess.run([compiler, "-O1", f"-I{folder}", str(HERE / "driver.c"), library_of_it, "-o", driver], check=True)
+    inputs = str(HERE / "driver.c"), library_of_it
+    subprocess.run([compiler_path, "-O1", f"-I{folder}", *inputs, "-o", driver], check=True)
     home = [] if emulator == "wine64" else ["-L", f"/usr/{compiler.removesuffix('-gcc')}"]
-    return [emulator, *home, driver, str(folder / "image"), str(folder / "answers")]
+    return [emulator_path, *home, driver, str(folder / "image"), str(folder / "answers")]
 
 
 def by_node(name, image, folder):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
-    return ["node", str(HERE / "driver.mjs"), str(built(name)), str(folder / "image"), str(folder / "answers"),
-            *image.functions]  # fmt: skip
+    files = HERE / "driver.mjs", built(name), folder / "image", folder / "answers"
+    return [find_program("node"), *map(str, files), *image.functions]
 
 
 @pytest.mark.slow
@@ -298,7 +295,7 @@ def test_what_is_exported_gives_the_same_bits_on_windows(name, tmp_path):
     if why := board.missing(target, (compiler, emulator, "gcc")):
         pytest.skip(why)
     made = program(name, 2000, tmp_path, target)
-    assert board.differing(made.here(), made.here(target, compiler, [emulator])) == 0
+    assert board.differing(made.here(), made.here(target, compiler, [find_program(emulator)])) == 0
 
 
 @pytest.mark.slow

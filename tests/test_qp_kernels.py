@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.control.qp import QP, QPStatus, kkt_residuals
-from adaptrack.control.qp.check import ill_conditioned_problem, known_problems
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.core.layout import aligned
 from adaptrack.core.qp import problem as kernels
@@ -14,7 +13,7 @@ from adaptrack.core.qp.active_set import active_set
 from adaptrack.core.qp.residual import kkt_residual
 from references import qp_hildreth as textbook
 from references.qp_exact import Infeasible, reference_solve
-from references.qp_problems import drawn_mpc_problem, drawn_problem
+from references.qp_problems import drawn_mpc_problem, drawn_problem, ill_conditioned_problem, known_problems
 
 pytestmark = pytest.mark.kernels
 

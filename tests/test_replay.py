@@ -1,5 +1,7 @@
 """The replay in a browser: it opens without errors, plays, and shows the car where it was."""
 
+import base64
+import hashlib
 import re
 
 import numpy as np
@@ -10,7 +12,7 @@ from adaptrack.results.drive import write_drive_page
 from browser import Served
 from made_drives import bend, made_drive
 
-pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+pytestmark = pytest.mark.needs("chromium")
 
 INSTANTS = (2.0, 9.13, 17.5)
 
@@ -40,10 +42,14 @@ addEventListener("load", async () => {
 </script>
 """
 
-NOTHING_ELSE = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
-)
-"""The policy under which the page is served: what it would load from elsewhere is an error."""
+
+def with_script(page, script):
+    """A page with one more script at its end, which its policy allows, and which may post what it has found."""
+    first, last = script.index("<script>") + len("<script>"), script.index("</script>")
+    digest = base64.b64encode(hashlib.sha256(script[first:last].encode()).digest()).decode()
+    assert page.count("default-src 'none'; script-src ") == 1
+    allowed = f"default-src 'none'; connect-src 'self'; script-src 'sha256-{digest}' "
+    return page.replace("default-src 'none'; script-src ", allowed).replace("</body>", script + "</body>")
 
 
 def ask_page(path, script, width=1400, fragment=""):
@@ -51,8 +57,8 @@ def ask_page(path, script, width=1400, fragment=""):
     frame = (
         f'<link rel="icon" href="data:,"><iframe src="/page{fragment}" width="{width}" height="900" frameborder="0">'
     )
-    page = path.read_text(encoding="utf-8").replace("</body>", COLLECT % script + "</body>")
-    pages = {"/": Served(f"<!doctype html>{frame}</iframe>"), "/page": Served(page, NOTHING_ELSE)}
+    page = with_script(path.read_text(encoding="utf-8"), COLLECT % script)
+    pages = {"/": Served(f"<!doctype html>{frame}</iframe>"), "/page": Served(page)}
     found, said = browser.ask(pages)
     assert found["failures"] == []
     assert said == []
@@ -220,6 +226,15 @@ def test_keys_slider_wheel_and_drag_do_what_they_say(page):
     assert other["cars"][1]["failed"]
     assert found["words"] == "18.00 s failed"
     assert all(name.strip() for name in found["names"])
+
+
+def test_no_script_runs_but_the_replay(page):
+    written = "<script>window.evil = true;</script>"
+    text = page.read_text(encoding="utf-8").replace("</main>", written + "</main>")
+    answer, console = browser.ask({"/": Served(with_script(text, COLLECT % "found.evil = window.evil ?? null;"))})
+    assert answer["evil"] is None
+    assert answer["failures"] == []
+    assert any("Content Security Policy" in line for line in console)
 
 
 def test_a_link_to_an_instant_opens_there(page):

@@ -435,7 +435,7 @@ def test_a_lap_through_points_closes():
 
 
 def test_points_through_which_no_road_goes_are_refused():
-    with pytest.raises(InvalidInput, match="point 1 comes twice"):
+    with pytest.raises(InvalidInput, match="3 points lie apart from each other: at least 4"):
         road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
     with pytest.raises(InvalidInput, match="n >= 4"):
         road_through([(0.0, 0.0), (1.0, 0.0)])

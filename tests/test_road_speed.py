@@ -53,6 +53,53 @@ def test_a_stop_is_a_stand_for_its_time():
     )
 
 
+RAMPS = Comfort(accelerate=2.0, brake=2.0)
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-14, -1e-14, 1e-10, -1e-10, 3e-7, -3e-7, 1e-4])
+def test_a_stop_beside_a_place_of_the_plan_costs_a_ramp_down_and_one_up(excess):
+    """On roads of one piece and of many, with places every metre."""
+    for road in (Road.from_segments([Line(length=300.0)], speed_limit=10.0),
+                 Road.from_segments([Line(length=33.3)] * 9, speed_limit=10.0)):  # fmt: skip
+        free = plan_speed(road, None, RAMPS, start=10.0)
+        for place in free.s[[60, 100, 150, 200]]:
+            stopped = plan_speed(road, None, RAMPS, start=10.0, stops=[float(place) * (1.0 + excess)])
+            assert stopped.duration == pytest.approx(free.duration + 5.0, abs=2e-3)
+            assert (stopped.speed == 0.0).sum() == 1
+
+
+@pytest.mark.parametrize("gap", [1e-5, 1e-3, 0.1, 0.3, 0.7])
+@pytest.mark.parametrize("jerk", [math.inf, 5.0])
+def test_between_two_stops_in_one_cell_the_car_moves(gap, jerk):
+    """Up and down at 2 m/s^2; with a bounded jerk it takes longer. Standing times of stops at one place add up."""
+    road = Road.from_segments([Line(length=100.0)], speed_limit=10.0)
+    comfort = RAMPS.replace(jerk=jerk)
+    single = plan_speed(road, None, comfort, start=0.0, end=0.0, stops=[Stop(40.2, 3.0)])
+    pair = plan_speed(road, None, comfort, start=0.0, end=0.0, stops=[Stop(40.2, 3.0), 40.2 + gap])
+    between = pair.duration - single.duration
+    assert between == pytest.approx(2.0 * math.sqrt(gap / 2.0) - gap / 10.0, rel=0.02, abs=0.01) or jerk < math.inf
+    assert 0.0 < between < 5.0
+    joined = plan_speed(road, None, comfort, start=0.0, end=0.0, stops=[Stop(40.2, 3.0), Stop(40.2 + 1e-9, 2.0)])
+    assert joined.duration == pytest.approx(single.duration + 2.0)
+    assert joined.stops == [Stop(pytest.approx(40.2), pytest.approx(5.0))]
+
+
+@pytest.mark.parametrize("stops", [[0.0], [0.3], [0.5], [0.999], [1.0], [0.25, 0.5, 0.75], [1e-8, 1.0 - 1e-8]])
+def test_stops_on_a_metre_of_road_are_reached_and_left(stops):
+    road = Road.from_segments([Line(length=1.0)])
+    plan = plan_speed(road, None, start=0.0, end=0.0, stops=stops)
+    assert 1.0 < plan.duration < 4.0
+
+
+@pytest.mark.parametrize("jerk", [1.0, 5.0])
+def test_a_stop_under_a_bounded_jerk_is_left_again(jerk):
+    road = generate_road("lap", seed=1, length=300.0)
+    free = plan_speed(road, CAR, Comfort(jerk=jerk))
+    for stops in ([120.0], [0.0], [200.2, 200.7]):
+        stopped = plan_speed(road, CAR, Comfort(jerk=jerk), stops=stops)
+        assert free.duration + 2.0 < stopped.duration < free.duration + 20.0
+
+
 @pytest.mark.parametrize(("bank", "sign"), [(0.0, 1.0), (0.1, 1.0), (-0.1, 1.0), (0.1, -1.0)])
 def test_a_circle_is_driven_at_the_speed_that_its_radius_bank_and_friction_allow(bank, sign):
     road = Road.from_segments([Arc(length=100.0 * math.pi, curvature=sign / 50.0)], closed=True, bank=bank)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from programs import find_program
 from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_module, path, trajectory
 
 messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
@@ -337,6 +338,39 @@ def test_speeds_of_the_path_are_driven(Follower):
     assert "backwards" in made.diagnosis(0.0)[1]
 
 
+def drive_obediently(node, message, seconds=14.0, lag=0.3):
+    """Places (m) and angles (rad) of a car that obeys from 20 m on; the path is published every half second."""
+    x, speed, rows = 20.0, 5.0, []
+    for k in range(round(seconds / 0.05)):
+        if k % 10 == 0:
+            node.path(message)
+        node.odometry(odometry(0.05 * k, x=x, speed=speed))
+        command = node.tick(0.05 * k)
+        speed = max(speed + (command.speed - speed) * 0.05 / lag, 0.0)
+        x += 0.05 * speed
+        rows.append((x, command.angle))
+    return np.array(rows).T
+
+
+def test_a_car_waits_at_a_stop_point_a_millimetre_beside_its_path(Follower):
+    """The planner's point of speed 0 is left out of the path, its speed is not; nor does the path turn there."""
+    points = np.insert(STRAIGHT, 41, [39.9999, 1e-3], axis=0)
+    speeds = np.minimum(np.sqrt(6.0 * np.abs(points[:, 0] - points[41, 0])), 5.0)
+    parameters = Parameters(path_message="autoware_planning_msgs/Trajectory")
+    x, angle = drive_obediently(Follower(parameters), trajectory(points, speeds))
+    assert x[-1] + CAR.lr == pytest.approx(40.0, abs=0.5)
+    assert x[-1] == x[-20]
+    assert np.abs(angle).max() < 1e-3
+
+
+def test_a_path_with_a_point_twice_is_driven_as_without_it(Follower):
+    repeated = np.repeat(STRAIGHT, np.where(np.arange(100) == 40, 2, 1), axis=0)
+    shifted = np.insert(STRAIGHT, 41, [39.9999, 1e-3], axis=0)
+    places = [drive_obediently(Follower(), path(points), 3.0)[0] for points in (STRAIGHT, repeated, shifted)]
+    assert places[1] == pytest.approx(places[0], abs=0.05)
+    assert places[2] == pytest.approx(places[0], abs=0.05)
+
+
 def test_engaging_begins_at_the_angle_of_the_wheels(driving):
     driving.engage(False)
     assert driving.tick(0.05) is None
@@ -451,8 +485,7 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
 @pytest.mark.compiled
 def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
     """With stand-ins of ament and of the packages that it finds."""
-    if shutil.which("cmake") is None:
-        pytest.skip("no cmake")
+    find_program("cmake")
     includes = ";".join(each.removeprefix("-I") for each in cpp[0].includes(folder)[2:])
     made = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
     made += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"

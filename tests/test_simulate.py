@@ -23,8 +23,9 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure, Reason, find_failure
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import Driver
-from adaptrack.scenario import Ramp, Scenario, load_scenario
+from adaptrack.scenario import Knots, Scenario, load_scenario
 from adaptrack.scenario.profile import Profile, load_profile
+from references.daqp import Daqp
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = [
@@ -58,6 +59,11 @@ def controller(profile, car=CAR, **options):
 def straight_then(**options):
     """A straight road at constant speed; `options` change it."""
     return Scenario(**({"name": "road", "duration": 4.0, "reference": 0.0, "speed": 15.0, "friction": 0.9} | options))
+
+
+def ramp(before, after, start, duration):
+    """A straight line between two values of a signal."""
+    return Knots(points=((start, before), (start + duration, after)))
 
 
 # -- two drivers, one kernel ------------------------------------------------------------------------------------------
@@ -293,7 +299,7 @@ def test_the_mirrored_scenario_gives_the_mirrored_trajectory(plant, driver):
 
 # -- failed runs ------------------------------------------------------------------------------------------------------
 def test_a_failed_run_ends_with_not_a_number_and_says_so():
-    leaving = straight_then(reference=Ramp(after=20.0, start=0.5, duration=1.0), duration=2.0)
+    leaving = straight_then(reference=ramp(0.0, 20.0, start=0.5, duration=1.0), duration=2.0)
     rule = Failure(distance=2.0)
     run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), leaving, failure=rule)
     assert run.failed == Reason.OFF_ROAD
@@ -316,7 +322,7 @@ def test_a_failed_run_ends_with_not_a_number_and_says_so():
 @pytest.mark.compiled
 def test_a_failed_run_of_a_batch_is_flagged_and_harms_nobody(rng):
     good = load_scenario("lane-change", duration=3.0)
-    leaving = good.replace(reference=Ramp(after=40.0, start=0.5, duration=1.0))
+    leaving = good.replace(reference=ramp(0.0, 40.0, start=0.5, duration=1.0))
     plant, mpc = DualTrack(CAR), published_mpc(CAR, CALM)
     which = np.arange(20) % 2
     rule = Failure(distance=3.0)
@@ -375,7 +381,7 @@ def driven_by(right_hand_side):
     return UserPlant(right_hand_side, {}, mass=1000.0)
 
 
-LEAVING = straight_then(reference=Ramp(after=40.0, start=0.5, duration=1.0), duration=3.0)
+LEAVING = straight_then(reference=ramp(0.0, 40.0, start=0.5, duration=1.0), duration=3.0)
 FAR_AWAY = straight_then(reference=50.0, start_y=0.0, duration=1.0)
 FAILURES = {
     "off the road": (lambda: SingleTrack(CAR), LEAVING, Reason.OFF_ROAD),
@@ -556,8 +562,8 @@ def test_a_prescribed_speed_is_followed_exactly(name, plant):
 @pytest.mark.compiled
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_the_driver_follows_a_ramp_of_speed(plant):
-    ramp = straight_then(speed=Ramp(before=10.0, after=20.0, start=3.0, duration=10.0), duration=25.0)
-    run = rollout(plant(CAR), published_mpc(CAR), ramp, driver=Driver())
+    faster = straight_then(speed=ramp(10.0, 20.0, start=3.0, duration=10.0), duration=25.0)
+    run = rollout(plant(CAR), published_mpc(CAR), faster, driver=Driver())
     behind = run.v_ref - run.vx
     assert np.abs(behind).max() < 0.4
     assert np.abs(behind[-20:]).max() < 0.02  # drag and rolling resistance are what the integral is for
@@ -576,8 +582,8 @@ def test_at_top_speed_the_engine_gives_what_drag_and_rolling_take(plant):
 @pytest.mark.compiled
 def test_the_driver_brakes_no_harder_than_brakes_and_accelerates_no_harder_than_traction():
     weak = CAR.replace(brake_limit=3000.0, traction_limit=2000.0, frontal_area=0.0, rolling_resistance=0.0)
-    down = straight_then(speed=Ramp(before=25.0, after=5.0, start=0.5, duration=0.5), duration=5.0)
-    up = straight_then(speed=Ramp(before=5.0, after=25.0, start=0.5, duration=0.5), duration=5.0)
+    down = straight_then(speed=ramp(25.0, 5.0, start=0.5, duration=0.5), duration=5.0)
+    up = straight_then(speed=ramp(5.0, 25.0, start=0.5, duration=0.5), duration=5.0)
     braking, driving = (rollout(DualTrack(weak), published_mpc(CAR), road, driver=Driver()) for road in (down, up))
     assert np.diff(braking.vx).min() / 0.1 == pytest.approx(-3000.0 / CAR.mass, rel=1e-6)
     assert np.diff(driving.vx).max() / 0.1 == pytest.approx(2000.0 / CAR.mass, rel=1e-6)
@@ -586,7 +592,7 @@ def test_the_driver_brakes_no_harder_than_brakes_and_accelerates_no_harder_than_
 @pytest.mark.compiled
 def test_the_drivers_integral_does_not_wind_up_behind_a_limit():
     weak = CAR.replace(traction_limit=1000.0)
-    road = straight_then(speed=Ramp(before=10.0, after=20.0, start=1.0, duration=0.5), duration=60.0)
+    road = straight_then(speed=ramp(10.0, 20.0, start=1.0, duration=0.5), duration=60.0)
     run = rollout(DualTrack(weak), published_mpc(CAR), road, driver=Driver())
     assert run.vx.max() < 20.3
     assert run.vx[-1] == pytest.approx(20.0, abs=0.02)
@@ -595,7 +601,7 @@ def test_the_drivers_integral_does_not_wind_up_behind_a_limit():
 @pytest.mark.compiled
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_a_car_that_is_told_to_stop_stands(plant):
-    stop = straight_then(speed=Ramp(before=10.0, after=0.0, start=1.0, duration=5.0), duration=20.0)
+    stop = straight_then(speed=ramp(10.0, 0.0, start=1.0, duration=5.0), duration=20.0)
     run = rollout(plant(CAR), published_mpc(CAR), stop, driver=Driver())
     assert run.vx.min() > -0.05
     assert np.abs(run.vx[-20:]).max() < 0.02
@@ -607,7 +613,7 @@ def test_a_car_that_is_told_to_stop_stands(plant):
 )
 def test_each_wheel_has_the_friction_of_its_own_track(wheel, side):
     braking = straight_then(
-        speed=Ramp(before=20.0, after=0.0, start=0.0, duration=2.0),
+        speed=ramp(20.0, 0.0, start=0.0, duration=2.0),
         friction_patches=[{"start": 0.0, "end": 9.0, "friction": 0.05, "wheels": wheel}],
         duration=1.0,
     )
@@ -728,7 +734,7 @@ def test_the_drivers_numbers_are_checked():
         {"which": [0, 0]},
         {"scenarios": []},
         {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
-        {"controller": published_mpc(CAR, solver="daqp")},
+        {"controller": published_mpc(CAR, solver=Daqp())},
         {"controller": published_mpc(CAR, scheduler=Constant(CALM))},
         {"controller": None},
         {"failure": 5.0},
@@ -749,7 +755,7 @@ def test_a_batch_refuses_what_does_not_fit(arguments):
 
 
 def test_a_compiled_run_refuses_a_controller_that_needs_python():
-    for mpc in (published_mpc(CAR, scheduler=lambda variables: CALM), published_mpc(CAR, solver="daqp")):
+    for mpc in (published_mpc(CAR, scheduler=lambda variables: CALM), published_mpc(CAR, solver=Daqp())):
         with pytest.raises(InvalidInput, match="simulate"):
             rollout(SingleTrack(CAR), mpc, SHORT)
 

@@ -55,7 +55,6 @@ LONG_SNIPPETS = {
     ("identify.md", "at.identify("): "10 s, and needs a log",
     ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
     ("plants.md", "commonroad_plant("): "needs the extra `plants`",
-    ("plants.md", "ProcessPlant("): "is run as an example",
     ("reproduce.md", "train(data"): "10 s",
     ("schedulers.md", "train(data"): "20 s",
     ("shadow.md", "at.shadow("): "needs logs",

@@ -23,8 +23,8 @@ CAR = load_vehicle("paper")
 ROAD = generate_road("country", seed=1, length=1500.0)
 CIRCLE = Road.from_segments([Arc(length=120.0 * math.pi, curvature=1 / 60)], closed=True, name="circle")
 SHORT = Road.from_segments([Line(length=60.0)], name="short")
-STEERING = Steering(lag=0.15, dead_time=0.0, rate=0.5)
-"""Of the bicycle; its dead time of one period is the computation delay of the profile."""
+STEERING = Steering(lag=0.15, dead_time=0.05, rate=0.5)
+"""Of the bicycle."""
 EXACT = (0.0,) * 5
 SPOILT = {
     "jitter": {"jitter": (0.02, 0.09)},
@@ -38,7 +38,7 @@ SPOILT = {
 
 def informed(oldest=0.25):
     sensors = replace(KalmanFilter.of_profile(load_profile("road")), oldest=oldest)
-    return MPC(CAR, profile="road", estimator=sensors, belief=STEERING)
+    return MPC(CAR, profile="road", computation=0.0, estimator=sensors, belief=STEERING)
 
 
 def at_rest(tracker, path=SHORT, t=0.0, speed=0.0, **more):
@@ -157,6 +157,27 @@ def test_a_first_sample_that_is_late_is_where_the_car_was():
     tracker = Tracker(informed(), SHORT)
     assert tracker.step(0.0, 1.0, 0.0, 0.0, 10.0, 0.0, now=1.0).status is Status.HELD
     assert tracker.step(1.0, 10.0, 0.0, 0.0, 10.0, 0.0, now=1.1).station == pytest.approx(11.0)
+
+
+# -- delays of the loop -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("options", "seconds", "contradicts"),
+    [
+        ({}, 0.0, False), ({}, 0.04, True), ({"computation": 0.05}, 0.04, False), ({"computation": 0.05}, 0.0, True),
+        ({"profile": "road"}, 0.0, True),
+    ],
+)  # fmt: skip
+def test_a_tracker_says_once_that_its_calls_contradict_the_computation_time(
+    options, seconds, contradicts, caplog, monkeypatch
+):
+    clock = iter(seconds * k for k in range(10_000))
+    monkeypatch.setattr("adaptrack.control.tracker.time.perf_counter", lambda: next(clock))
+    tracker = Tracker(MPC(CAR, belief=STEERING, **options), ROAD)
+    with caplog.at_level(logging.WARNING, "adaptrack"):
+        drive(tracker, ROAD, 6.0, noise=EXACT, late=0.02)
+    assert tracker.timing.sample_age == pytest.approx(0.05)  # samples are taken every 0.05 s
+    assert tracker.timing.computation == pytest.approx(seconds)
+    assert caplog.text.count("assumes a computation time") == contradicts
 
 
 # -- statuses ---------------------------------------------------------------------------------------------------------

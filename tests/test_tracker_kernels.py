@@ -23,6 +23,7 @@ from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, REQUEST,
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.ahead import pack_roads, stacked
+from references.daqp import Daqp
 
 pytestmark = pytest.mark.kernels
 CAR = load_vehicle("paper")
@@ -244,7 +245,7 @@ def test_only_what_is_compiled_makes_a_tracker_of_kernels_alone():
     with pytest.raises(InvalidInput, match="is not compiled"):
         tracking_of(published_mpc(CAR, scheduler=lambda variables: (10, 2, 1.0, 1.0)), ROAD)
     with pytest.raises(InvalidInput, match="is not compiled"):
-        tracking_of(published_mpc(CAR, solver="daqp"), ROAD)
+        tracking_of(published_mpc(CAR, solver=Daqp()), ROAD)
 
 
 # -- the plan of the speed --------------------------------------------------------------------------------------------

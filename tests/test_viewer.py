@@ -12,9 +12,9 @@ from adaptrack.results.drive import write_drive_page
 from adaptrack.results.replay import SCRIPTS, STYLE
 from browser import Served
 from made_drives import bend, made_drive
-from test_replay import COLLECT, NOTHING_ELSE, ask_page
+from test_replay import COLLECT, ask_page
 
-pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
+pytestmark = pytest.mark.needs("chromium")
 
 PAGES = Path(__file__).parent / "viewer"
 """What the browser is given."""
@@ -109,6 +109,12 @@ def test_the_predicted_path_lies_where_it_was_predicted(seen, drives):
 
 
 # -- a drive that grows -----------------------------------------------------------------------------------------------
+
+
+NOTHING_ELSE = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
+)
+"""The policy under which the page is served: what it would load from elsewhere is an error."""
 
 
 def ask_live(script):

@@ -1,7 +1,6 @@
 """What is linked here without a linker is what LLVM's linker makes of the same object."""
 
 import json
-import shutil
 import subprocess
 
 import pytest
@@ -11,6 +10,7 @@ from adaptrack.core import library
 from adaptrack.core.build.emission import emit
 from adaptrack.core.build.page import CALLED, MEMBERS
 from adaptrack.core.build.wasm_link import STACK, linked
+from programs import find_program
 
 pytestmark = pytest.mark.compiled
 TEXT = """
@@ -80,10 +80,9 @@ console.log(JSON.stringify(found));
 
 
 def told(module, folder, name):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
+    node = find_program("node")
     (folder / name).write_bytes(module)
-    done = subprocess.run(["node", "-e", SCRIPT, str(folder / name)], capture_output=True, text=True, check=True)
+    done = subprocess.run([node, "-e", SCRIPT, str(folder / name)], capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 
 
@@ -96,12 +95,11 @@ def test_code_data_stack_and_table_of_a_linked_object_are_where_they_must_be(tmp
 
 
 def test_llvms_linker_makes_the_same(tmp_path):
-    if shutil.which("wasm-ld") is None:
-        pytest.skip("wasm-ld is not installed")
+    linker = find_program("wasm-ld")
     content = emit(TEXT, "wasm32")
     (tmp_path / "given.o").write_bytes(content)
     options = ["--no-entry", "--export-dynamic", "--export-table", "--growable-table", "-o", str(tmp_path / "ld.wasm")]
-    subprocess.run(["wasm-ld", *options, str(tmp_path / "given.o")], check=True)
+    subprocess.run([linker, *options, str(tmp_path / "given.o")], check=True)
     theirs = told((tmp_path / "ld.wasm").read_bytes(), tmp_path, "ld.wasm")
     assert told(linked(content), tmp_path, "own.wasm") == theirs
 
@@ -128,12 +126,11 @@ def test_the_module_of_the_page_has_what_the_page_calls_and_nothing_else(tmp_pat
         module = library.exported("wasm32-page").read_bytes()
     except library.UNUSABLE:
         pytest.skip(f"not compiled: {library.BUILD} --export wasm32-page")
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
+    node = find_program("node")
     (tmp_path / "page.wasm").write_bytes(module)
     script = "const { Module } = WebAssembly, m = new Module(require('fs').readFileSync(process.argv[1]));"
     script += "console.log(JSON.stringify([Module.imports(m), Module.exports(m).map((e) => e.name)]));"
-    found = subprocess.run(["node", "-e", script, str(tmp_path / "page.wasm")], capture_output=True, check=True).stdout
+    found = subprocess.run([node, "-e", script, str(tmp_path / "page.wasm")], capture_output=True, check=True).stdout
     imports, exports = json.loads(found)
     assert imports == []
     assert sorted(exports) == sorted(

@@ -65,10 +65,13 @@ def words(file):
     if file.suffix != ".py":
         yield from ((word.lower(), False) for word in re.findall(r"[A-Za-z]+", text))
         return
+    nested = 0  # f-strings that are open: from Python 3.12 on they are many tokens, and their names are text here too
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        name = token.type == tokenize.NAME
-        if name or token.type in (tokenize.STRING, tokenize.COMMENT):
-            yield from ((part.lower(), name) for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", token.string))
+        kind = tokenize.tok_name[token.type]
+        nested += kind.endswith("STRING_START") - kind.endswith("STRING_END")
+        if kind in ("NAME", "STRING", "COMMENT") or kind.endswith("STRING_MIDDLE"):
+            is_name = kind == "NAME" and not nested
+            yield from ((part.lower(), is_name) for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", token.string))
 
 
 def coined(file):
@@ -99,6 +102,8 @@ def test_every_real_use_is_still_there():
 
 def test_a_coined_word_is_found_in_names_texts_and_prose(tmp_path):
     (tmp_path / "a.py").write_text('def told_by(bodyStyle):\n    """Nothing was asked; the body rolls."""\n')
+    (tmp_path / "b.py").write_text("body = f'seen {body:{body}} {f\"{body} astray\"} at once'\n")
     (tmp_path / "a.md").write_text("The pace of the body.\n")
     assert coined(tmp_path / "a.py") == {"told": 1, "body": 1, "asked": 1}
+    assert coined(tmp_path / "b.py") == {"body": 1, "seen": 1, "astray": 1}
     assert coined(tmp_path / "a.md") == {"pace": 1}

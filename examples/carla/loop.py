@@ -69,8 +69,8 @@ def follow(world: Any, car: Car, tracker: at.Tracker, most: int = 100_000) -> It
         t = world.get_snapshot().timestamp.elapsed_seconds
         sample = sample_of(t, car.vehicle, car.ahead)
         answer = tracker.step(*sample[:6], lateral_velocity=sample.lateral_velocity)
-        stop = answer.status in STOP or tracker.plan is None
-        wanted = 0.0 if stop else float(tracker.plan.at(answer.station + sample.speed * PERIOD))  # type: ignore[union-attr]
+        stop = answer.status in STOP or not math.isfinite(answer.target_speed)
+        wanted = 0.0 if stop else answer.target_speed
         throttle, brake = pedals(sample.speed, wanted)
         steer = steer_of(answer.command, car.full_steer)
         car.vehicle.apply_control(car.control(throttle=throttle, brake=brake, steer=steer))

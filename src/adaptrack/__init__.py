@@ -73,7 +73,6 @@ _PUBLIC = {
         "commonroad_plant",
         "commonroad_vehicle",
     ),
-    "peers.process_plant": ("ProcessPlant",),
     "road": (
         "Road",
         "check_road",
@@ -120,10 +119,7 @@ _PUBLIC = {
     "control.qp": (
         "QP",
         "Solution",
-        "check_qp_solver",
         "get_qp_solver",
-        "list_qp_solvers",
-        "register_qp_solver",
     ),
     "control.controllers": (
         "BeliefState",
@@ -300,7 +296,7 @@ if TYPE_CHECKING:
         list_models,
         register_model,
     )
-    from adaptrack.control.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
+    from adaptrack.control.qp import QP, Solution, get_qp_solver
     from adaptrack.control.scheduling import (
         Constant,
         Guarded,
@@ -335,7 +331,6 @@ if TYPE_CHECKING:
     from adaptrack.peers.mppi import MPPI
     from adaptrack.peers.nmpc import NMPC
     from adaptrack.peers.preview_lqr import PreviewLQR
-    from adaptrack.peers.process_plant import ProcessPlant
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
@@ -401,7 +396,6 @@ __all__ = [
     "PredictedPaths",
     "PredictionModel",
     "PreviewLQR",
-    "ProcessPlant",
     "Profile",
     "PurePursuit",
     "RandomCar",
@@ -445,7 +439,6 @@ __all__ = [
     "check_estimator",
     "check_model",
     "check_plant",
-    "check_qp_solver",
     "check_road",
     "check_scheduler",
     "commonroad_parameters",
@@ -474,7 +467,6 @@ __all__ = [
     "list_models",
     "list_plants",
     "list_profiles",
-    "list_qp_solvers",
     "list_scenarios",
     "list_schedulers",
     "list_tyres",
@@ -501,7 +493,6 @@ __all__ = [
     "register_estimator",
     "register_model",
     "register_plant",
-    "register_qp_solver",
     "road_through",
     "rollout",
     "rollout_batch",

@@ -3,7 +3,6 @@
 ``python -m processors.board`` in ``tests`` prints the numbers of docs/compatibility.md.
 """
 
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -16,9 +15,10 @@ from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import ANSWER
 from adaptrack.export.c_library import export_c
-from adaptrack.export.recorded import record_drive
+from adaptrack.export.recorded import DRIVEN_SHARE, record_drive
 from adaptrack.export.tracking import tracking_block
 from adaptrack.scenario.profile import load_profile
+from programs import try_program
 
 HERE = Path(__file__).parent
 TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc")
@@ -57,8 +57,9 @@ BOARDS = {
 def missing(target, tools=TOOLS):
     """The first of what it takes that is not there; None: nothing."""
     for tool in tools:
-        if shutil.which(tool) is None:
-            return f"{tool} is not installed"
+        reason = try_program(tool)[1]
+        if reason:
+            return reason
     try:
         library.export_of(target)
     except library.UNUSABLE:
@@ -186,11 +187,12 @@ def driven(controller, road, plan, vehicle, rng, disturbed):
     """10,800 calls of one period: nine recorded drives, measured ever worse where they are to be disturbed."""
     step = controller.period / 0.05
     record = record_drive(
-        MPC(vehicle, profile="road", learning=None), DualTrack(vehicle), road, plan, load_profile("road")
-    )
+        MPC(vehicle, profile="road", learning=None), DualTrack(vehicle), road, plan, load_profile("road"),
+        seconds=60.0 / DRIVEN_SHARE,
+    )  # fmt: skip
     rows, begun = [], 0.0
     for wild in (0.0, 0.1, 0.3, 0.5, 1.0, 1.0, 2.0, 2.0, 3.0):
-        calls = record.samples[:: max(1, round(step))].copy()
+        calls = record.samples[: record.driven_calls : max(1, round(step)), :10].copy()
         calls[:, :2] += begun
         begun += calls[-1, 1] - calls[0, 1] + 10.0
         if disturbed:

@@ -27,7 +27,7 @@ int main(int count, char **names) {
     say_nothing(&order.given, 3 * sizeof order.given); /* nobody says anything of the steering */
     say_nothing(&order.start, sizeof order.start);
     order.world.period = 0.05;
-    order.world.computation = 0.05;
+    order.world.computation = 0.0;
     order.world.preview = 1;
     order.world.noise_vy = 0.05;
     order.world.noise_yaw = 0.003;
@@ -35,7 +35,6 @@ int main(int count, char **names) {
     order.world.noise_y = 0.03;
     order.world.noise_wheel_angle = order.world.noise_lateral_acceleration = INFINITY;
     order.learning = 1;
-    order.alone = 1;
     order.longest_horizon = 60;
     order.most_moves = 20;
     adaptrack_usual_method(NUMBERS(order.method));

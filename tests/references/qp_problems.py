@@ -1,12 +1,47 @@
-"""Quadratic programmes to test solvers on, drawn from the paper's MPC; independent of the package."""
+"""Quadratic programmes to test solvers on: some with known solutions, others drawn, as from the paper's MPC."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
+from adaptrack.control.qp import QP
+
 Array = npt.NDArray[np.float64]
+
+
+def known_problems() -> Iterator[tuple[str, QP, Array]]:
+    """The battery: (what it tests, problem, its exact solution), the solutions by hand or by construction."""
+    one = np.eye(2)
+    K = np.array([-3.0, -3.0])
+    yield "no rows at all", QP(one, K), np.array([3.0, 3.0])
+    yield "no row reached", QP(one, K, one, np.array([4.0, 4.0])), np.array([3.0, 3.0])
+    yield "one bound active", QP(one, K, one, np.array([1.0, 4.0])), np.array([1.0, 3.0])
+    yield "an absent row (gamma = inf)", QP(one, K, one, np.array([np.inf, 1.0])), np.array([3.0, 1.0])
+    twice = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    yield "the same row twice", QP(one, K, twice, np.ones(3)), np.array([1.0, 1.0])
+    corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    yield "three rows through one corner", QP(one, K, corner, np.array([1.0, 1.0, 2.0])), np.array([1.0, 1.0])
+    both = np.array([[1.0, 0.0], [-1.0, 0.0]])
+    yield "a row and its opposite: an equality", QP(one, K, both, np.array([1.0, -1.0])), np.array([1.0, 3.0])
+    yield "a row that holds without force", QP(one, K, one, np.array([3.0, 1.0])), np.array([3.0, 1.0])
+
+
+def ill_conditioned_problem() -> tuple[QP, Array]:
+    """A QP with cond(E) = 7.8e11 whose data and solution are dyadic, so that float64 holds both exactly.
+
+    E = 2^30 v v' + 2^-3 I with v = (1..6); rows x_j <= gamma_j as in a controller; K = -E x* - M' lam*.
+    """
+    v = np.arange(1.0, 7.0)
+    E = 2.0**30 * np.outer(v, v) + 2.0**-3 * np.eye(6)
+    M = np.vstack([np.eye(6), -np.eye(6)])
+    x = np.array([0.25, -0.125, 0.0625, 0.25, -0.25, 0.03125])
+    lam = np.zeros(12)
+    lam[[0, 3, 10]] = 2.0, 0.5, 1.0  # x_0 and x_3 at +1/4, x_4 at -1/4
+    return QP(E, -(E @ x) - M.T @ lam, M, np.full(12, 0.25)), x
 
 
 def drawn_mpc_problem(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:

@@ -1,14 +1,17 @@
-"""The command: `python -m tools.fuzz run`, `python -m tools.fuzz replay FILE`."""
+"""The command: `python -m tools.fuzz run`, `replay FILE`, `attack` or `constants`."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
+from tools.fuzz import constants
+from tools.fuzz.attacks import ATTACKS, attack
 from tools.fuzz.batch import search_compiled
 from tools.fuzz.search import Found, load, replay, save, search, shortened
 from tools.fuzz.targets import TARGETS
@@ -57,6 +60,31 @@ def _replay(chosen: argparse.Namespace) -> int:
     return 1
 
 
+def _attack(chosen: argparse.Namespace) -> int:
+    """Attack commands with files, disks and signals; 1 when something failed."""
+    return int(any(attack(chosen.name, chosen.seed).values()))
+
+
+def _constants(chosen: argparse.Namespace) -> int:
+    """Change the constants of exported C libraries; 1 where one is wrong, crashes or hangs."""
+    failed = 0
+    for name in chosen.controller or constants.CONTROLLERS:
+        with tempfile.TemporaryDirectory() as folder:
+            library = constants.Library(constants.CONTROLLERS[name](), Path(folder) / "export")
+            outcomes = constants.search_constants(library, chosen.count, chosen.seed)
+            print(
+                f"{name}: {', '.join(f'{outcomes.count(outcome)} {outcome}' for outcome in constants.OUTCOMES)}",
+                flush=True,
+            )
+            failed += sum(outcome not in constants.ACCEPTED for outcome in outcomes)
+            if not chosen.unnoticed:
+                continue
+            count, misses = constants.unnoticed(library)
+            print(f"  {len(misses)} of {count} constants may change by 1 % in the recorded minute:")
+            print("".join(f"    {constant}: {why}\n" for constant, why in misses.items()), end="")
+    return int(failed > 0)
+
+
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m tools.fuzz", description="Hostile inputs, step after step.")
@@ -71,6 +99,16 @@ def main() -> int:
     again = commands.add_parser("replay", help="go through a saved case again")
     again.add_argument("file", type=Path)
     again.set_defaults(act=_replay)
+    attacks = commands.add_parser("attack", help="attack whole commands with files, disks and signals")
+    attacks.add_argument("name", nargs="*", metavar="NAME", help=f"all by default: {', '.join(ATTACKS)}")
+    attacks.add_argument("--seed", type=int, default=1)
+    attacks.set_defaults(act=_attack)
+    change = commands.add_parser("constants", help="change the constants of exported C libraries")
+    change.add_argument("--count", type=int, default=1000, help="changes of each controller")
+    change.add_argument("--seed", type=int, default=1)
+    change.add_argument("--controller", action="append", choices=constants.CONTROLLERS, help="all by default")
+    change.add_argument("--unnoticed", action="store_true", help="list the constants that the recorded minute misses")
+    change.set_defaults(act=_constants)
     chosen = parser.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.CRITICAL)
     try:

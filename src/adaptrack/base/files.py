@@ -37,6 +37,8 @@ SHIPPED = Path(__file__).parents[1] / "data"
 
 _LONGEST_NAME = 80  # characters of a file name without its suffix; most file systems allow 255 bytes in all
 _DEEPEST = 64  # tables within tables
+MAX_NUMBERS = 500_000_000
+"""Numbers in a table that is read, 4 GB; a constant column takes some bytes in a file, however long it is."""
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 
 
@@ -210,10 +212,13 @@ def _parsed(path: str | os.PathLike[str], language: str, parse: Callable[[str], 
         raise ConfigError(f"{where}, line {line}: not UTF-8 text; save the file as UTF-8.") from error
     try:
         data = parse(text)
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise ConfigError(_syntax_report(where, language, text, str(error))) from error
-    except RecursionError:
-        line = _line(text, _too_deep(text))
+    except (json.JSONDecodeError, RecursionError) as error:
+        position = _too_deep(text)  # first, as the depth that a parser can follow depends on the version of Python
+        if position is None and isinstance(error, json.JSONDecodeError):
+            raise ConfigError(_syntax_report(where, language, text, str(error))) from error
+        line = _line(text, position or 0)
         raise ConfigError(f"{where}, line {line}: more than {_DEEPEST} tables in one another; flatten them.") from None
     except ValueError as error:  # Python's limit on the digits of a whole number
         found = re.search(r"[0-9][0-9_]{999,}", text)
@@ -227,14 +232,14 @@ def _line(text: str, position: int) -> int:
     return text.count("\n", 0, position) + 1
 
 
-def _too_deep(text: str) -> int:
-    """The position at which more than `_DEEPEST` brackets are open."""
+def _too_deep(text: str) -> int | None:
+    """The position at which more than `_DEEPEST` brackets outside quotes are open, or None."""
     depth = 0
-    for bracket in re.finditer(r"[\[\]{}]", text):
-        depth += 1 if bracket[0] in "[{" else -1
+    for token in re.finditer(r'"(?:\\.|[^"\\\n])*"|[\[\]{}]', text):
+        depth += (token[0] in "[{") - (token[0] in "]}")
         if depth > _DEEPEST:
-            return bracket.start()
-    return 0
+            return token.start()
+    return None
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
@@ -414,7 +419,7 @@ def decode_parquet(
         When it is torn or was edited.
     """
     where = os.fspath(where)
-    table = _arrow_table(content, where)
+    table = read_arrow_table(content, where)
     try:
         stored = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     except UnicodeDecodeError as error:
@@ -440,16 +445,30 @@ def decode_parquet(
     return columns, about
 
 
-def _arrow_table(content: bytes, where: str) -> Any:
+def read_arrow_table(content: bytes, where: str) -> Any:
+    """The Arrow table of a Parquet file.
+
+    Raises
+    ------
+    Damaged
+        When it is no Parquet file, or torn.
+    StorageError
+        When it holds more than `MAX_NUMBERS` numbers.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
-        return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+        groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+        size = sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
+        if size <= MAX_NUMBERS:
+            # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
+            return file.read(use_threads=False)
     except Exception as error:  # of a damaged footer Arrow makes almost any of them
         reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
         raise Damaged(f"{where}: not a Parquet file, or damaged: {printable(reason)}.") from error
+    raise StorageError(f"{where}: holds {size:,} numbers, more than {MAX_NUMBERS:,}; leave out rows or columns.")
 
 
 def _checksum(columns: Mapping[str, NDArray[Any]], about: str) -> str:

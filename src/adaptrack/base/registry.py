@@ -1,14 +1,17 @@
-"""Members by name: the one registry behind `register_plant`, `get_model`, `list_qp_solvers` and their like."""
+"""Members by name: the one registry behind `register_plant`, `get_model`, `list_controllers` and their like."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import re
 import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.text import printable
 
 Member = TypeVar("Member")
 
@@ -107,6 +110,11 @@ def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], No
     """Import a module that registers members; `missing` is raised where there is none of that name.
 
     announce: called with the name before the module's code runs for the first time.
+
+    Raises
+    ------
+    InvalidInput
+        When the code of the module fails; the message names its line.
     """
     if not all(part.isidentifier() for part in name.split(".")):
         raise missing
@@ -114,7 +122,20 @@ def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], No
         announce(name)
     try:
         importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if not f"{name}.".startswith(f"{error.name}."):
-            raise  # one that it imports itself
-        raise missing from None
+    except (Exception, SystemExit) as error:
+        if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
+            raise missing from None
+        lines = traceback.format_exception_only(error)  # those of a syntax error's source are indented, notes follow
+        reason = printable(next(line for line in lines if not line.startswith(" ")).strip())
+        raise InvalidInput(f"plugin {name}: {_failed_line(error)}: {reason}; correct the module.") from error
+
+
+def _failed_line(error: BaseException) -> str:
+    """The file and line of a module at which its import failed."""
+    if isinstance(error, SyntaxError):
+        return f"{error.filename}, line {error.lineno}" if error.filename else "its source"
+    importing = re.compile(r"<frozen|.*importlib.__init__\.py$")
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not importing.match(frame.filename)]
+    module = frames[min(1, len(frames) - 1)].filename  # behind `import_plugin`
+    line = [frame.lineno for frame in frames if frame.filename == module][-1]
+    return f"{module}, line {line}"

@@ -115,10 +115,11 @@ def _give_up_output() -> None:
 def _noting_ctrl_c() -> Iterator[list[int]]:
     """A list that is no longer empty once Ctrl-C was pressed, which raises KeyboardInterrupt as ever.
 
-    Callbacks from compiled code swallow exceptions. While something is imported or compiled, Ctrl-C is repeated until
-    it is heard: else a minute of compilation would go on.
+    Callbacks from compiled code and finalizers swallow exceptions. While something is imported or compiled, and after
+    a Ctrl-C that was swallowed, it is repeated until it is heard: else the command would go on to its end.
     """
     pressed: list[int] = []
+    swallowed: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         pressed.append(number)
@@ -126,8 +127,15 @@ def _noting_ctrl_c() -> Iterator[list[int]]:
         signal.default_int_handler(number, frame)
 
     def repeat(number: int, frame: FrameType | None) -> None:
-        if _importing(frame):
+        if swallowed or _importing(frame):
+            swallowed.clear()
             raise KeyboardInterrupt
+
+    def report(unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            swallowed.append(signal.SIGINT)
+        else:
+            report_before(unraisable)
 
     main_thread = threading.current_thread() is threading.main_thread()
     if not main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -135,9 +143,11 @@ def _noting_ctrl_c() -> Iterator[list[int]]:
         return
     signal.signal(signal.SIGINT, note)
     before = signal.signal(signal.SIGALRM, repeat)
+    report_before, sys.unraisablehook = sys.unraisablehook, report
     try:
         yield pressed
     finally:
+        sys.unraisablehook = report_before
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -180,7 +180,8 @@ def tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
     kept = load_tuning(file)
     for clause in kept.mismatches(settings.car.name, settings.profile.name, settings.period):
         show.say(f"Warning, {file}: {clause}.", aside=True)
-    return kept.label(file), kept.make(settings.car, settings.profile, settings.period, settings.preview)
+    loop = settings.period, settings.preview, settings.computation
+    return kept.label(file), kept.make(settings.car, settings.profile, *loop)
 
 
 def _certify_elsewhere(

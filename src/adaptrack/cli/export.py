@@ -58,8 +58,8 @@ class ExportedController:
         seeds = None if self.road_seed is None else [self.road_seed]
         return roads.RoadOptions(speed=self.speed, road_seed=seeds).look(self.road, car, world)
 
-    def make(self, car: Vehicle, world: Profile) -> Controller:
-        """The controller.
+    def make(self, car: Vehicle, world: Profile, computation: float | None = None) -> Controller:
+        """The controller; computation: s, by default that of the profile.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class ExportedController:
             car, world, world.period, preview=True,
             learning=learning_of(options.DriveSettings(learn=self.learn or self._unsaid(car), learned=self.learned)),
             schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
-            label=self.scheduler or "",
+            label=self.scheduler or "", computation=computation,
         )  # fmt: skip
         if self.tuning is not None:
             return tuned(self.tuning, settings)[1]
@@ -102,6 +102,10 @@ class ExportOptions:
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where the library goes.")]
     which: ExportedController
+    computation: Annotated[
+        float,
+        Option("--computation", metavar="S", min=0.0, max=1.0, help="Time from a call to its command (s); default 0."),
+    ] = 0.0
     target: Annotated[
         list[str] | None,
         Option("--target", metavar="NAME", help="Processor; by default this one; may be repeated."),
@@ -135,7 +139,7 @@ def export_c(given: ExportOptions) -> None:
 
     car, plant = given.which.car.load()
     world = load_profile(given.which.profile)
-    controller = given.which.make(car, world)
+    controller = given.which.make(car, world, given.computation)
     refuse(controller)
     kernel_files(given.target or (), given.objects)
     options.make_folder(given.out)

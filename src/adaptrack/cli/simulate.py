@@ -65,7 +65,7 @@ class PublishedOptions:
     ] = 0.95
     laguerre_terms: Annotated[int, Option("--laguerre-terms", hidden=True, help="Number of Laguerre functions.")] = 10
     solver: Annotated[
-        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set, hildreth, daqp, ...")
+        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set or hildreth")
     ] = "active-set"
     preview: Annotated[
         bool | None,
@@ -187,6 +187,8 @@ class ControllerSettings:
     label: str = ""
     """how tables call the scheduler: as the command line does"""
     learning: Learning | None = None
+    computation: float | None = None
+    """s; None: of the profile"""
 
     @property
     def usual(self) -> str:
@@ -252,7 +254,8 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
                 f"--scheduler {settings.label}: tunes the {'published ' if name == INFORMED else ''}MPC; controller "
                 f"{name!r} takes none{', --controller standard does' if name == INFORMED else ''}."
             )
-        offered, options = {"period": settings.period, "preview": settings.preview}, dict[str, Any]()
+        offered = {name: getattr(settings, name) for name in ("period", "preview", "computation")}
+        options = dict[str, Any]()
         if name == INFORMED:
             options |= {"moves": own, "solver": settings.solver}
             if settings.learning is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import time
 import weakref
 from collections.abc import Sequence
 from enum import StrEnum
@@ -22,8 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
+from adaptrack.control.controllers.belief import Said
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
+from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF
 from adaptrack.core.kernel import Resident
@@ -84,8 +87,23 @@ class Tracked(NamedTuple):
     """how far what the controller learns can be trusted; None where nothing is learned"""
     suspect: tuple[str, ...] = ()
     """sentences on inputs that contradict each other, since the tracker engaged; see `control.input_check`"""
+    target_speed: float = math.nan
+    """m/s, planned one period ahead, and 0 at a stop until its time is over; NaN without a plan or a position"""
 
 
+class Timing(NamedTuple):
+    """Medians over `TIMED_STEPS` control steps."""
+
+    sample_age: float
+    """s, from a sample to its call; the tracker accounts for it"""
+    computation: float
+    """s, from a call to its command"""
+
+
+TIMED_STEPS = 50
+"""Control steps after which their times are compared with the computation time that the controller assumes."""
+TOLERANCE = 0.4
+"""Control periods, difference of the two from which it is reported."""
 DOUBTFUL = {
     BeliefState.AT_BOUND: "a learned quantity is at the end of its range: the car may be another than was thought",
     BeliefState.CONTRADICTORY: "what is measured fits no car within what is believed",
@@ -138,6 +156,10 @@ class Tracker:
         self.controller: Any = controller
         self._warned = False
         self._doubted: set[int] = set()
+        self._times: list[tuple[float, float]] = []
+        self._times_doubted = False
+        self.timing: Timing | None = None
+        """of the loop; None before `TIMED_STEPS` control steps"""
         self._set_path(path, plan)
         self._check = InputCheck(controller.vehicle, self.period)
         self._load(tracker_of(controller, path, plan, furthest, self._check))
@@ -182,6 +204,7 @@ class Tracker:
         learned of its car stays; what was said of the inputs is forgotten.
         """
         self._check.forget()
+        self._target = None if self.plan is None else SpeedTarget(self.plan)
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
         self._obey()
 
@@ -214,6 +237,10 @@ class Tracker:
             When it is no path.
         """
         self._set_path(path, plan)
+        if plan is None or self._target is None:
+            self._target = None if plan is None else SpeedTarget(plan)
+        else:
+            self._target.follow(plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
         self._obey()
@@ -247,6 +274,7 @@ class Tracker:
         """
         numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)
+        call_start = time.perf_counter()
         given = [real("Tracker.step", "a sample", each) for each in numbers]
         at = given[0] if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
@@ -256,24 +284,32 @@ class Tracker:
         kernel.sample[: len(given)] = given
         tracker_give(resident)
         self._obey()
+        steps = 0
         while tracker_before(resident) > 0:
             self._obey()
             self._control()
             tracker_after(resident)
+            steps += 1
         self._obey()
-        tracked = self._answer()
+        tracked = self._answer(at)
+        if steps:
+            self._take_times(at - given[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
             taken, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(given)].tolist()
             self._recorder.add(taken, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset)
         return tracked
 
-    def _answer(self) -> Tracked:
+    def _answer(self, time: float) -> Tracked:
         """What a call gives."""
         command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == UNKNOWN else BeliefState(int(belief))
-        return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, self._check.suspect)
+        speed, target = float(self._kernel.memory[0].speed), math.nan
+        if self._target is not None:
+            target = self._target.at(time, station, speed, self.period)
+        suspects = self._check.suspect
+        return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, suspects, target)
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""
@@ -311,6 +347,28 @@ class Tracker:
             _log.warning("adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
                          DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "")  # fmt: skip
         return float(state), answer.learned[BELIEF.belief_at_bound]
+
+    def _take_times(self, age: float, computation: float) -> None:
+        """Take in the age of a sample (s) and the time (s) of the call; report what contradicts the controller."""
+        self._times.append((age if math.isfinite(age) else 0.0, computation))
+        if len(self._times) < TIMED_STEPS:
+            return
+        self.timing = Timing(*np.median(self._times, axis=0).tolist())
+        self._times.clear()
+        if self.controller.belief is not None and not self._times_doubted:
+            self._compare_computation(self.timing, self.controller.belief.computation)
+
+    def _compare_computation(self, timing: Timing, assumed: Said) -> None:
+        """Warn where calls take longer or shorter than the controller assumes."""
+        if abs(timing.computation - assumed.value) <= TOLERANCE * self.period:
+            return
+        self._times_doubted = True
+        _log.warning(
+            "adaptrack: the controller assumes a computation time of %.3g s (%s), but Tracker.step returns its command "
+            "after %.2g s: if your loop sends the command at once, give the controller computation=%.3g. The tracker "
+            "accounts for the age of the samples, %.2g s, separately.",
+            assumed.value, assumed.source, timing.computation, round(timing.computation, 3), timing.sample_age,
+        )  # fmt: skip
 
     def _warn_of_late_samples(self, age: float) -> None:
         self._warned = True

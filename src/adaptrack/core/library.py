@@ -80,9 +80,31 @@ def compiler() -> Any:
     return importlib.import_module(COMPILER)
 
 
-def manifest() -> dict[str, Any]:
-    """What was built: of each processor the file and its hash; the sources and their hashes; those of each kernel."""
-    return dict(json.loads((BUILT / MANIFEST).read_text(encoding="utf-8")))
+def manifest(folder: Path | None = None) -> dict[str, Any]:
+    """What was built: of each processor the file and its hash; the sources and their hashes; those of each kernel.
+
+    folder: also of an archive that `make targets` packs. Raises OSError where there is none, ValueError where it is
+    damaged.
+    """
+    path = (folder or BUILT) / MANIFEST
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is damaged: not JSON in UTF-8 ({type(error).__name__})") from None
+    if not isinstance(content, dict) or not isinstance(content.get("sources"), dict):
+        raise ValueError(f"{path} is damaged: 'sources' is missing or not a table")
+    for name in ("libraries", "exports", "kernels"):
+        table = content.setdefault(name, {})
+        if not (isinstance(table, dict) and all(_is_entry(name, entry) for entry in table.values())):
+            raise ValueError(f"{path} is damaged: the entries of {name!r} are not those that a build writes")
+    return content
+
+
+def _is_entry(name: str, entry: Any) -> bool:
+    """Whether an entry of a table of the manifest is a list of sources, or a file with its hash."""
+    if name == "kernels":
+        return isinstance(entry, list) and all(isinstance(source, str) for source in entry)
+    return isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in ("file", "sha256"))
 
 
 def export_of(target: str, folder: Path | None = None) -> Path:
@@ -91,7 +113,7 @@ def export_of(target: str, folder: Path | None = None) -> Path:
     Raises one of `UNUSABLE` where it is not there, is damaged or is of other kernels than these.
     """
     folder = folder or BUILT
-    listed = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    listed = manifest(folder)
     if listed["sources"] != source_hashes():
         raise ValueError(f"{folder}: is of other kernels than {kernels_hash()}")
     return whole(listed["exports"][target], folder)
@@ -155,7 +177,7 @@ def loaded() -> Library | str:
     try:
         return Library()
     except UNUSABLE as error:
-        return f"{BUILT / MANIFEST}: {type(error).__name__}: {error}"
+        return str(error)
 
 
 @cache

@@ -7,6 +7,9 @@ arc length. The speed |dc/dz| over a range of the parameter z is interpolated at
 arc lengths of the nodes of a piece are found by Newton's method, and position and heading are interpolated there. A
 piece that misses the cubic by more than `FIT` between its nodes, or turns by more than 1 rad, is halved.
 
+A short step magnifies the error of its points: an error e across a step h turns the curve by e/h over the long steps
+around it. So points that are much nearer to each other than to the points around them count as one (`points_apart`).
+
 The memory then holds a road alone as `core.road.Roads` has it: its numbers, pieces, where they begin, and headings.
 """
 
@@ -46,12 +49,15 @@ from .road import (
     headings_along,
 )
 
-OK, TOO_FEW, NOT_FINITE, TOO_FAR, TWICE, TOO_SHORT, KINK, TOO_SMALL = range(8)
-"""What `path_through` answers: a path; fewer points than `FEWEST`; a number that is none; a coordinate beyond
-`FARTHEST`, or a point farther than `WIDEST` from the next one; a point that comes twice in a row (within `SAME`); a
-line shorter than `SHORTEST`; points that fold back on themselves; a memory that is too small."""
-FEWEST, FARTHEST, WIDEST, SAME, SHORTEST = 4, 1e8, 1e4, 1e-6, 0.01
-"""Points, m, m, m, m."""
+OK, TOO_FEW, NOT_FINITE, TOO_FAR, TOO_SHORT, KINK, TOO_SMALL = range(7)
+"""Statuses of `path_through`: a path; fewer points than `FEWEST` apart from each other; a number that is not finite; a
+coordinate beyond `FARTHEST`, or a point farther than `WIDEST` from the next one; a line shorter than `SHORTEST`; points
+that fold back on themselves; a memory that is too small."""
+FEWEST, FARTHEST, WIDEST, SHORTEST = 4, 1e8, 1e4, 0.01
+"""Points, m, m, m."""
+GROUP_SHARE, GROUP_LENGTH = 0.1, 0.2
+"""Points in a row count as one if their distance from the first is at most this share of the step on either side, and
+at most this long (m). With a tenth, a path is off a smooth curve by at most about twice the error of its points."""
 
 COLUMNS = TURNED + DEGREE + 1
 """Of a piece."""
@@ -59,7 +65,7 @@ SPACING = 0.5
 """m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
 STRAIGHTER = 1.25
 """Times the length of their polygon that a path is expected to be long at most."""
-SCRATCH = 5
+SCRATCH = 8
 """Numbers for each point that are needed while a path is made."""
 TURN = 1.0
 """rad, the largest turn of a piece: the remainder of its polynomials is then below 1e-16 of the length for an arc."""
@@ -143,8 +149,8 @@ def _step(points, k):
 
 
 @inlined
-def _flaw(points, closed, lengths):
-    """`OK`, or what is wrong with points, and where; writes the lengths (m) of the steps."""
+def _flaw(points, closed):
+    """`OK`, or the status of points that make no path, and the number of the point."""
     count = len(points)
     if count < FEWEST or points.shape[1] < 2:
         return TOO_FEW, count
@@ -154,14 +160,62 @@ def _flaw(points, closed, lengths):
             return NOT_FINITE, k
         if size > FARTHEST:
             return TOO_FAR, k
-    total = 0.0
+    for k in range(count if closed else count - 1):
+        dx, dy = _step(points, k)
+        if hypot(dx, dy) > WIDEST:
+            return TOO_FAR, k
+    return OK, 0
+
+
+@inlined
+def _group(points, first, last, before):
+    """The last point of the group of points that begins with `first`, and the step (m) behind it; 0 at the end.
+
+    last: number of the last point; before: m, the step to `first`, which does not count for the first point of all.
+    """
+    most = GROUP_LENGTH if first == 0 else min(GROUP_LENGTH, GROUP_SHARE * before)
+    end, step, extent = first, 0.0, 0.0
+    for k in range(first, last + 1):
+        there = k if k < len(points) else 0
+        extent = max(extent, hypot(points[there, 0] - points[first, 0], points[there, 1] - points[first, 1]))
+        if extent > most:
+            break
+        after = 0.0
+        if k < last:
+            dx, dy = _step(points, k)
+            after = hypot(dx, dy)
+        if extent <= GROUP_SHARE * after or (k == last and first > 0):
+            end, step = k, after
+    return end, step
+
+
+@exported(int64(matrix, boolean, vector))
+def points_apart(points, closed, rows):
+    """Write the numbers of the points (n, 2) that a path goes through to `rows` (n,), and return their count.
+
+    Of a group of points that count as one (`GROUP_SHARE`) it is the first; at the end of an open path the last.
+    """
+    last = len(points) if closed else len(points) - 1  # that of a lap is its first point again
+    count, first, before = 0, 0, 0.0
+    while first <= last:
+        end, before = _group(points, first, last, before)
+        ends = first > 0 and end == last
+        if not (ends and closed):
+            rows[count] = end if ends else first
+            count += 1
+        first = end + 1
+    return count
+
+
+@inlined
+def _write_steps(points, closed, lengths):
+    """Write the lengths (m) of the steps of points that lie apart; `OK`, or the status of those that make no path."""
+    count, total = len(points), 0.0
+    if count < FEWEST:
+        return TOO_FEW, count
     for k in range(count if closed else count - 1):
         dx, dy = _step(points, k)
         lengths[k] = hypot(dx, dy)
-        if lengths[k] > WIDEST:
-            return TOO_FAR, k
-        if lengths[k] <= SAME:
-            return TWICE, k
         total += lengths[k]
     return (TOO_SHORT if total < SHORTEST else OK), 0
 
@@ -399,34 +453,49 @@ def line_numbers(start, pieces, closed, numbers):
     numbers[LAP_TURN] = -_turns(_jump(pieces[last], pieces[0])) if closed else 0.0
 
 
+@inlined
+def _write_points(points, rows, path_points):
+    """Write the points (n, 2) of some numbers, and these numbers, to the rows of `path_points`."""
+    for k in range(len(path_points)):
+        row = whole(rows[k])
+        path_points[k, 0], path_points[k, 1], path_points[k, 2] = points[row, 0], points[row, 1], rows[k]
+
+
 @exported(several(int64, int64)(matrix, boolean, vector))
 def path_through(points, closed, memory):
     """Make the path through points (n, 2) of x, y (m), a lap if `closed`: it then ends before its start.
 
     `OK` and the number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the
-    memory then holds is to be used.
+    memory then holds is to be used. The path goes through `points_apart`.
     """
     count = len(points)
     scratch = memory.size - SCRATCH * count
     room = min((scratch - len(NUMBERS)) // COLUMNS, (memory.size - words_of(0, 1)) // (COLUMNS + 1))
     if count >= FEWEST and room < count:
         return TOO_SMALL, 0
-    lengths, x, y = memory[scratch:], memory[scratch + count :], memory[scratch + 2 * count :]
-    status, flaw = _flaw(points, closed, lengths)
+    status, flaw = _flaw(points, closed)
     if status != OK:
         return status, flaw
-    _write_slopes(points, closed, lengths, memory[scratch + 3 * count :], x, y, memory[scratch + 4 * count :])
+    lengths, x, y = memory[scratch:], memory[scratch + count :], memory[scratch + 2 * count :]
+    upper, border, copies = memory[scratch + 3 * count :], memory[scratch + 4 * count :], memory[scratch + 5 * count :]
+    count = points_apart(points, closed, lengths)
+    path_points = shaped(copies[: 3 * count], count, 3)
+    _write_points(points, lengths, path_points)
+    status, flaw = _write_steps(path_points, closed, lengths)
+    if status != OK:
+        return status, flaw
+    _write_slopes(path_points, closed, lengths, upper, x, y, border)
     pieces = shaped(memory[len(NUMBERS) : len(NUMBERS) + COLUMNS * room], room, COLUMNS)
     made = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
-        dx, dy = _step(points, k)
+        dx, dy = _step(path_points, k)
         first = made
         status, made = _write_step(dx, dy, h * x[k], h * y[k], h * x[after], h * y[after], pieces, first)
         if status != OK:
-            return status, k
+            return status, whole(path_points[k, 2])
         for row in range(first, made):
-            pieces[row, X], pieces[row, Y] = points[k, 0] + pieces[row, X], points[k, 1] + pieces[row, Y]
+            pieces[row, X], pieces[row, Y] = path_points[k, 0] + pieces[row, X], path_points[k, 1] + pieces[row, Y]
     if closed and _kinked(_jump(pieces[made - 1], pieces[0])):
         return KINK, 0
     start = memory[len(NUMBERS) + COLUMNS * made :]
@@ -435,7 +504,7 @@ def path_through(points, closed, memory):
         start[row + 1] = start[row] + 2.0 * pieces[row, HALF]
     cells = cells_of(start[made])
     if words_of(made, cells) > memory.size:
-        return TOO_SMALL, count - 1
+        return TOO_SMALL, len(points) - 1
     line_numbers(start[: made + 1], pieces[:made], closed, memory)
     memory[FIRST_START] = memory[FIRST_PIECE] = memory[FIRST_HEADING] = 0.0
     memory[COUNT], memory[HEADING_SPACING] = made, start[made] / cells

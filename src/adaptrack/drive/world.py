@@ -95,19 +95,29 @@ class World:
         world = cls(plant, profile, controller.period, driver, known_as, failure or Failure.of(plant))
         if isinstance(controller, MPC):
             controller.warn_of(controller.scheduler, profile.name, plant)
-            world.warn_of_slower_steering(controller)
+        world.warn_of_different_delay(controller)
         return world
 
-    def warn_of_slower_steering(self, controller: MPC) -> None:
-        """Say it when an MPC believes that the wheels follow its command sooner than they do: it may lose the car.
+    def warn_of_different_delay(self, controller: Controller) -> None:
+        """Warn where the simulated delay differs from the controller's by its computation time, or is longer.
 
-        One that learns finds it out.
+        With a delay assumed too short it may lose the car, with one too long it steers worse. A controller that learns
+        finds a longer delay, and none that is shorter than its computation time.
         """
-        belief = controller.belief
-        if belief is None or controller.learner is not None:
+        belief, tolerance = controller.belief, 0.4 * self.period
+        if belief is None:
             return
         believed, driven = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
-        if driven > believed + 0.4 * self.period:
+        computation = self.profile.delay * self.period
+        computation_error = computation - belief.computation.value
+        delay_error = driven - believed if controller.learner is None else min(computation_error, 0.0)
+        if abs(computation_error) > tolerance and delay_error * math.copysign(1.0, computation_error) > tolerance:
+            _warn(
+                f"adaptrack: the controller assumes a computation time of {belief.computation.value:.3g} s "
+                f"({belief.computation.source}), profile {self.profile.name!r} simulates {computation:.3g} s: give the "
+                f"controller profile={self.profile.name!r} or computation={computation:.3g}."
+            )
+        elif delay_error > tolerance:
             _warn(
                 f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {driven:.3g} s late, the "
                 f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or "

@@ -91,6 +91,22 @@ class Header(NamedTuple):
     resets: int
 
 
+class ArrayLayout(NamedTuple):
+    """An array of a record, as the C sources check it."""
+
+    name: str
+    word: int
+    """of the record, of its address; its sizes follow"""
+    sizes: tuple[int, ...]
+    entry: int
+    """words of an entry"""
+    kind: str
+    """``f`` of float64, ``i`` of int64, ``V`` of rows"""
+    role: Role
+    values: NDArray[np.uint64]
+    """the words before the first step"""
+
+
 @dataclass(frozen=True)
 class Block:
     """A record as bytes."""
@@ -99,6 +115,12 @@ class Block:
     header: Header
     functions: tuple[str, ...]
     """names of the kernels whose addresses it holds"""
+    links: dict[int, str]
+    """the kernel whose address each of these words of the record holds"""
+    arrays: tuple[ArrayLayout, ...] = field(repr=False)
+    """in the order of the record"""
+    record: tuple[int, ...] = field(repr=False)
+    """its words, those of numbers signed"""
     words: dict[str, int] = field(repr=False)
     """the word at which each field lies: a number itself, of an array its first entry"""
 
@@ -144,6 +166,13 @@ class _Part(NamedTuple):
     @property
     def last(self) -> int:
         return self.first + self.values.nbytes
+
+    def layout(self) -> ArrayLayout:
+        """The array as the C sources check it."""
+        return ArrayLayout(
+            self.name, self.word, self.values.shape, self.values.itemsize // 8, self.values.dtype.kind, self.role,
+            np.frombuffer(self.values.tobytes(), np.uint64),
+        )  # fmt: skip
 
 
 def pack(
@@ -202,7 +231,8 @@ def pack(
     functions = tuple(sorted({function for _, function in laid.links}))
     if len({_number(each) for each in functions}) < len(functions):
         raise InvalidInput(f"export: two of {', '.join(functions)} have one CRC-32: rename one.")
-    return Block(content, header, functions, laid.numbers | home)
+    arrays = tuple(part.layout() for part, _ in laid.placed)
+    return Block(content, header, functions, dict(laid.links), arrays, tuple(laid.words), laid.numbers | home)
 
 
 def _number(name: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import zlib
@@ -18,11 +17,12 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
-from adaptrack.control.controllers import Controller
+from adaptrack.control.controllers import MPC, Controller
 from adaptrack.core import library, path, road
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.tracker.records import SAMPLE, TRACKED, LawTracking, Tracker, Tracking
+from adaptrack.export import bounds
 from adaptrack.export.block import Block
 from adaptrack.export.recorded import Recorded, record_drive
 from adaptrack.export.tracking import Room, refuse, step_kernel, tracking_block
@@ -32,7 +32,7 @@ from adaptrack.scenario.profile import Profile, load_profile
 SOURCES = Path(__file__).parent / "c"
 FOLDERS = {
     "include": ("adaptrack.h", "adaptrack.hpp", "adaptrack_error.h"),
-    "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h"),
+    "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h", "adaptrack_bounds.c", "adaptrack_bounds.h"),
     ".": ("main.c", "times.c", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
 }
 """Where the files that are the same for all go."""
@@ -111,7 +111,7 @@ def export_c(
     way = load_road(road) if isinstance(road, str) else road
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     speed = plan_speed(way, controller.vehicle) if plan is None else plan
-    driven = record_drive(controller, driven_car, way, speed, world)
+    driven = record_drive(controller, driven_car, way, speed, world, furthest=furthest)
     name = next(iter(files))
     texts = _texts(controller, block, driven, name, tuple(files))
     target = Path(folder)
@@ -134,7 +134,7 @@ def list_targets(objects: str | os.PathLike[str] | None = None) -> list[str]:
 def _exports(objects: str | os.PathLike[str] | None) -> dict[str, Any]:
     folder = library.BUILT if objects is None else Path(objects)
     try:
-        return dict(json.loads((folder / library.MANIFEST).read_text(encoding="utf-8"))["exports"])
+        return dict(library.manifest(folder)["exports"])
     except library.UNUSABLE:
         return {}
 
@@ -183,8 +183,10 @@ def _texts(
     for folder, names in FOLDERS.items():
         for name in names:
             found[f"{folder}/{name}"] = _filled((SOURCES / name).read_text(encoding="utf-8"), words)
+    kind = Tracking if isinstance(controller, MPC) else LawTracking
     found["include/adaptrack_config.h"] = _config(controller, block)
-    found["src/adaptrack_parts.h"], found["src/adaptrack_parts.c"] = _parts_header(), _parts(controller, block)
+    found["src/adaptrack_parts.h"] = _parts_header(block, kind)
+    found["src/adaptrack_parts.c"] = _parts(controller, block, kind)
     found["src/adaptrack_constants.c"] = _constants(block)
     found["adaptrack_recorded.h"] = _recorded(driven)
     return {name: text.encode() for name, text in found.items()}
@@ -212,6 +214,7 @@ def _config(controller: Controller, block: Block) -> str:
 #define ADAPTRACK_SIZE {block.laid_size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {block.saved_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
+#define ADAPTRACK_MOST_POINTS {MOST_POINTS} /* of a path, and of a plan */
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */
 {suspects}
@@ -231,7 +234,7 @@ def _printable(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /")
 
 
-def _parts_header() -> str:
+def _parts_header(block: Block, kind: Any) -> str:
     """Places in records and rows, as the kernels' own files have them."""
     words = dict(_words("", Tracker, 0))
     shared = dict(_words("", Tracking, 0)), dict(_words("", LawTracking, 0))
@@ -249,13 +252,16 @@ def _parts_header() -> str:
         f"    ADAPTRACK_ROAD_NUMBERS = {len(road.NUMBERS)},",
         f"    ADAPTRACK_PIECE_COLUMNS = {path.COLUMNS},",
         f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
-        f"    ADAPTRACK_MOST_POINTS = {MOST_POINTS}",
     ]
+    numbers = bounds.places(block, kind)
     return "\n".join(
         [
             "/* adaptrack: places in the records of the kernels. Written by adaptrack.export. */",
-            "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_block.h"', "",
-            "enum {", *lines, "};", "",
+            "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_bounds.h"', "",
+            "enum {", *lines, "};", *[f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()], "",
+            "extern const adaptrack_array adaptrack_arrays[];", "extern const adaptrack_bound adaptrack_bounds[];",
+            "extern const adaptrack_initial adaptrack_initials[];", "extern const adaptrack_equal adaptrack_equals[];",
+            "extern const uint32_t adaptrack_links[];",
             "extern const adaptrack_reader adaptrack_parts;",
             "void adaptrack_parts_step(void *record);", "#endif", "",
         ]
@@ -285,18 +291,19 @@ def words_of(kind: Any) -> int:
     )
 
 
-def _parts(controller: Controller, block: Block) -> str:
-    """Which kernels the constants call."""
+def _parts(controller: Controller, block: Block, kind: Any) -> str:
+    """Which kernels the constants call, and the bounds of their numbers."""
     step, header = step_kernel(controller), block.header
     known = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
-            '#include "adaptrack_parts.h"', "", *known, f"extern void adaptrack_{step}(void *record);", "",
+            '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *known,
+            f"extern void adaptrack_{step}(void *record);", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
-            f"FUNCTIONS, {len(rows)}}};", "",
+            f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",
             f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}(record); }}", "",
         ]
     )  # fmt: skip
@@ -320,7 +327,7 @@ def _recorded(driven: Recorded) -> str:
         ", ".join(f"{word:#x}u" for word in [*_canonical(sample), fingerprint(answer)])
         for sample, answer in zip(driven.samples, driven.answers, strict=True)
     ]
-    size = 64 + 8 * path.path_words(np.ascontiguousarray(driven.points), driven.closed)
+    size = 64 + 8 * path.path_words(np.ascontiguousarray(driven.points), False)
     sets = "},\n    {".join(rows)
     return f"""\
 /* adaptrack: a recorded drive. Written by adaptrack.export. */
@@ -328,10 +335,10 @@ def _recorded(driven: Recorded) -> str:
 
 enum {{
     ADAPTRACK_RECORDED_POINTS = {len(driven.points)},
-    ADAPTRACK_RECORDED_CLOSED = {int(driven.closed)},
     ADAPTRACK_RECORDED_PATH_SIZE = {size}, /* bytes, of adaptrack_path_size */
     ADAPTRACK_RECORDED_PLAN = {driven.plan.s.size},
-    ADAPTRACK_RECORDED_STEPS = {len(rows)}
+    ADAPTRACK_RECORDED_STEPS = {len(rows)},
+    ADAPTRACK_RECORDED_DRIVEN = {driven.driven_calls} /* of the simulated drive, the first ones */
 }};
 /* m: x, y of the path */
 static const double adaptrack_recorded_points[] = {{
@@ -340,10 +347,8 @@ static const double adaptrack_recorded_plan_s[] = {{ /* m */
     {_numbers(driven.plan.s)}}};
 static const double adaptrack_recorded_plan_speed[] = {{ /* m/s */
     {_numbers(driven.plan.speed)}}};
-/* A call each: t, now (s), x, y (m), yaw (rad), speed (m/s), yaw rate (rad/s), lateral velocity (m/s), lateral
-   acceleration (m/s^2), wheel angle (rad), as the bits of doubles; CRC-32 of command, status, offset, heading error and
-   station that Python answered. */
-static const uint64_t adaptrack_recorded[][11] = {{
+/* For each call the bits of an adaptrack_sample, then the CRC-32 of what Python answered. */
+static const uint64_t adaptrack_recorded[][{len(SAMPLE) + 1}] = {{
     {{{sets}}}}};
 """
 
@@ -361,7 +366,7 @@ def _canonical(values: Any) -> list[int]:
 
 def fingerprint(answer: Any) -> int:
     """CRC-32 of an answer, a row of `recorded.ANSWER`, as main.c makes it."""
-    return zlib.crc32(struct.pack("<5Q", *_canonical(answer)))
+    return zlib.crc32(struct.pack(f"<{len(answer)}Q", *_canonical(answer)))
 
 
 def _write(file: Path, content: bytes) -> None:

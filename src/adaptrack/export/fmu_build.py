@@ -77,7 +77,7 @@ def units_header() -> str:
     rows = "".join(f"    {{{zlib.crc32(each.encode()):#x}u, adaptrack_{each}}},\n" for each in MEMBERS)
     units = "".join(
         f"    {{{{{int(library.kernels_hash(), 16):#x}u, {zlib.crc32(name.encode()):#x}u, MEMBERS, "
-        f"sizeof MEMBERS / sizeof *MEMBERS}}, adaptrack_{begin}, adaptrack_{step}}},\n"
+        f"sizeof MEMBERS / sizeof *MEMBERS, 0}}, adaptrack_{begin}, adaptrack_{step}}},\n"
         for name, (begin, step) in UNITS.items()
     )
     return (
@@ -137,11 +137,12 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
 def manifest() -> dict[str, Any] | None:
     """Return what was built of these kernels and C sources; None where there is nothing or something older."""
     try:
-        content = dict(json.loads((BUILT / MANIFEST).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        content = json.loads((BUILT / MANIFEST).read_text(encoding="utf-8"))
+        current = content["kernels"] == library.kernels_hash() and content["sources"] == sources_hash()
+        entries = {name: {"sha256": str(entry["sha256"])} for name, entry in content["binaries"].items()}
+    except (*library.UNUSABLE, RecursionError):
         return None
-    current = {"kernels": library.kernels_hash(), "sources": sources_hash()}
-    return content if {name: content.get(name) for name in current} == current else None
+    return {"binaries": entries} if current else None
 
 
 def build() -> None:

@@ -111,7 +111,7 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
         kinds = (*INFORMED, "published", *MADE_BY)
         raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
     learning: Any = Learning() if kind == "learning" else "auto"
-    order, _, _ = order_of(car, known, (None, None, learning), None, None, preview)
+    order, *_ = order_of(car, known, (None, None, learning), None, None, preview)
     mpc = MPC(car, profile=known, learning=learning, preview=preview)
     left = _row(order)
     for part in OF_THE_CAR:

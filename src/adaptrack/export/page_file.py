@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import gzip
-import hashlib
 import json
 import logging
 import os
@@ -24,6 +23,7 @@ from numpy.typing import ArrayLike
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
+from adaptrack.base.html import content_policy
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.export.page_data import KINDS, page_data
 from adaptrack.export.page_inputs import page_car
@@ -212,11 +212,7 @@ def page_html(parts: PageParts, setup: Mapping[str, Any] | None = None) -> str:
 
 def policy(parts: PageParts) -> str:
     """The Content-Security-Policy: this script, its worker and its kernels run, and nothing is loaded from anywhere."""
-    digest = base64.b64encode(hashlib.sha256(parts.script.encode()).digest()).decode()
-    return (
-        f"default-src 'none'; script-src 'sha256-{digest}' 'wasm-unsafe-eval'; worker-src blob:; "
-        "style-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; base-uri 'none'"
-    )
+    return content_policy([parts.script], "'wasm-unsafe-eval'", "worker-src blob:")
 
 
 def _text(name: str) -> str:

@@ -43,7 +43,7 @@ ANSWERS = {
     "car_flaw": {"ONE_CAR": car.ONE_CAR},
     "overhangs": {"HOLDS": plant.HOLDS},
     "path_through": {name: getattr(path, name) for name in (
-        "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TWICE", "TOO_SHORT", "KINK", "TOO_SMALL")},
+        "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TOO_SHORT", "KINK", "TOO_SMALL")},
 }  # fmt: skip
 """What these kernels answer, by name."""
 _BOUNDS = ("gt", "ge", "lt", "le")
@@ -75,7 +75,7 @@ def car_fields() -> dict[str, Any]:
             "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
             "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
             "fewest": path.FEWEST, "most": MOST_POINTS, "farthest": path.FARTHEST, "widest": path.WIDEST,
-            "same": path.SAME, "shortest": path.SHORTEST,
+            "shortest": path.SHORTEST,
         },
         "drive": DRIVE,
         "answers": ANSWERS,

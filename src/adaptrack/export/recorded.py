@@ -1,10 +1,17 @@
-"""A drive that travels with an exported controller: what was measured, and what the tracker answered here."""
+"""A drive that travels with an exported controller: what was measured, and what the tracker answered here.
+
+First the controller drives a simulated car. Then a car that obeys nobody moves along the end of the path, where two
+bends are tighter than the car can turn: limits act, samples are late, missing, wrong or far from the path, and a
+learner meets a car that contradicts it. So a constant that is damaged changes an answer.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +36,71 @@ SPACING = 5.0
 """m, between the points of the path: what a planner would send."""
 AHEAD = 10.0
 """s, at the highest speed, that the path goes on behind the end of the record."""
-SAMPLE = CALL._fields[:10]
-"""Columns of `Recorded.samples`; friction and wind are not known."""
-ANSWER = TRACKED._fields[:5]
-"""Columns of `Recorded.answers`: command, status, offset, heading error, station."""
+SAMPLE = CALL._fields
+"""Columns of `Recorded.samples`."""
+ANSWER = TRACKED._fields
+"""Columns of `Recorded.answers`."""
+DRIVEN_SHARE = 0.4
+"""Share of the record that the controller drives."""
+MOST_ANGLE = 1.2
+"""rad, of the wheels of any car"""
+BEND_SPACING = 0.25
+"""m, between the points of the two tight bends."""
+
+
+MAX_OFFSET = 20.0
+"""m, from the path, at most"""
+BEND_SPEED = 2.5
+"""m/s, the planned speed in them."""
+
+
+class RecordedStretch(NamedTuple):
+    """A part of the record with a car that moves along the path by itself."""
+
+    seconds: float
+    start: float
+    """m, from the beginning of the tight bends; NaN: where the stretch before ended"""
+    speed: float
+    """m/s, at first"""
+    acceleration: float = 0.0
+    """m/s^2, along the path"""
+    offset: float = 0.0
+    """m, amplitude of a weave about the path; inf: just beyond the furthest"""
+    wave: float = 4.0
+    """s, its period"""
+    noise: float = 1.0
+    """factor on the noise of all sensors"""
+    age: float = 0.0
+    """s, the samples' largest"""
+    missing: float = 0.0
+    """share of numbers that are missing"""
+    faults: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    """factor on numbers of the sample and what is added to them, in the first half of each wave; by their names"""
+    without: tuple[str, ...] = ()
+    """numbers that are missing throughout"""
+
+
+STRETCHES = (
+    RecordedStretch(2.0, -10.0, 8.0, -2.0, age=0.25, missing=0.1),
+    RecordedStretch(8.0, 1.0, 2.5, offset=0.05, wave=0.5),
+    RecordedStretch(0.5, 11.0, -1.0),
+    RecordedStretch(1.5, 11.0, 1.0),
+    RecordedStretch(0.5, 19.0, -1.0),
+    RecordedStretch(1.5, 19.0, 1.0),
+    RecordedStretch(4.0, -60.0, 12.0, offset=0.8, wave=1.5, age=0.4, missing=0.2),
+    RecordedStretch(
+        6.0, -100.0, 15.0, wave=1.0, faults={"yaw_rate": (1.0, 0.3), "vy": (1.0, 1.0), "wheel_angle": (1.0, 0.1)}
+    ),
+    RecordedStretch(3.0, -80.0, 15.0, wave=0.7, faults={"lateral_acceleration": (1.0, 3.0), "yaw": (1.0, 0.1)}),
+    RecordedStretch(2.0, -50.0, 20.0, without=("x", "y")),
+    RecordedStretch(2.0, -40.0, 3.0, -1.5),
+    RecordedStretch(3.0, -40.0, 8.0, offset=math.inf, wave=6.0),
+    RecordedStretch(2.0, -20.0, 5.0),
+)
+"""What the record goes through behind the simulated drive."""
+SENSOR_NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.02, "yaw_rate": 0.005, "vy": 0.02,
+         "lateral_acceleration": 0.05, "wheel_angle": 0.002}  # fmt: skip
+"""Standard deviations: m, rad, m/s, rad/s, m/s^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +109,14 @@ class Recorded:
 
     points: Array
     """(n, 2) m"""
-    closed: bool
     plan: SpeedPlan
     """every `SPACING`; of it the tracker knows place and speed"""
     samples: Array
     """(calls, SAMPLE)"""
     answers: Array
     """(calls, ANSWER)"""
+    driven_calls: int
+    """calls of the simulated drive, the first ones"""
     failed: str = ""
     """when and why the car failed, in words; empty where it did not"""
 
@@ -60,45 +129,111 @@ def record_drive(
     profile: Profile,
     seconds: float = 60.0,
     seed: int = 0,
+    furthest: float = 10.0,
 ) -> Recorded:
-    """Drive the beginning of a road with a controller behind a tracker, and keep what went in and out.
+    """Drive the beginning of a road with a controller behind a tracker, then `STRETCHES`; keep what went in and out.
 
-    The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors.
+    The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors;
+    furthest: m, from the path, as of the exported tracker. A command takes effect a period after its sample if the
+    controller assumes such a computation time, else at once.
 
     Raises
     ------
     InvalidInput
         When the controller cannot be tracked, or the drive ends before its first instant.
     """
-    points, closed = _points(road, seconds, float(plan.speed.max()))
-    path = road_through(points, closed=closed, name=road.name)
+    length = min(road.length, float(plan.speed.max()) * (DRIVEN_SHARE * seconds + AHEAD))
+    points = _points(road, length)
+    path = road_through(points, name=road.name)
+    points = np.concatenate([points, _bends(path, _tightest(controller))])
+    full_path = road_through(points, name=road.name)
     steady = float(np.ptp(plan.speed)) == 0.0
     car = getattr(controller, "vehicle", None)
     planned = (
         constant_speed(path, float(plan.speed[0])) if steady or car is None else plan_speed(path, car, plan.comfort)
     )
-    driver = _Driver(controller, path, _thinned(planned), seconds)
+    driver = _Driver(controller, full_path, _extended(planned, full_path.length), DRIVEN_SHARE * seconds, furthest)
+    if controller.belief is not None:
+        profile = profile.replace(delay=float(controller.belief.computation.value > 0.5 * controller.period))
     run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
-    found = find_failure(run)
-    failed = f"at {found.time:.1f} s the vehicle {found.clause}" if found is not None and found.time < seconds else ""
-    if not driver.samples:
+    failure = find_failure(run)
+    failed = ""
+    if failure is not None and failure.time < DRIVEN_SHARE * seconds:
+        failed = f"at {failure.time:.1f} s the vehicle {failure.clause}"
+    calls = len(driver.samples)
+    if calls == 0:
         raise InvalidInput(f"export: the road {road.name!r} is too short to be driven.")
-    return Recorded(points, closed, driver.plan, np.array(driver.samples), np.array(driver.answers), failed)
+    weaves = [stretch._replace(offset=min(stretch.offset, 1.005 * min(furthest, MAX_OFFSET))) for stretch in STRETCHES]
+    for sample in _wild(weaves, full_path, path.length, controller, driver.samples[-1][1], np.random.default_rng(seed)):
+        driver.call(sample)
+    return Recorded(points, driver.plan, np.array(driver.samples), np.array(driver.answers), calls, failed)
 
 
-def _thinned(plan: SpeedPlan) -> SpeedPlan:
-    """The speed at fewer places."""
-    s = np.linspace(0.0, float(plan.s[-1]), max(2, math.ceil(float(plan.s[-1]) / SPACING)))
-    return replace(plan, s=s, speed=plan.at(s))
+def _wild(
+    stretches: Sequence[RecordedStretch],
+    path: Road,
+    bends: float,
+    controller: Controller,
+    time: float,
+    rng: np.random.Generator,
+) -> Iterator[Array]:
+    """Samples of a car that goes through stretches, from a time (s) on; bends: m along the path."""
+    s, period, car = 0.0, controller.period, controller.vehicle
+    for stretch in stretches:
+        s, speed = s if math.isnan(stretch.start) else bends + stretch.start, stretch.speed
+        for k in range(round(stretch.seconds / period)):
+            time, s = time + period, min(max(s + speed * period, 0.0), path.length - 1.0)
+            speed = max(speed + stretch.acceleration * period, min(stretch.speed, 0.0))
+            foot, turn = path.at(s), 2.0 * math.pi * k * period / stretch.wave
+            offset, yaw = stretch.offset * math.sin(turn), float(foot.heading)
+            yaw += stretch.offset / stretch.wave * math.cos(turn)
+            yaw_rate = speed * float(foot.curvature)
+            values = dict(
+                x=float(foot.x) - offset * math.sin(foot.heading), y=float(foot.y) + offset * math.cos(foot.heading),
+                yaw=yaw, speed=speed, yaw_rate=yaw_rate, vy=0.5 * car.lr * yaw_rate,
+                lateral_acceleration=speed * yaw_rate, wheel_angle=math.atan((car.lf + car.lr) * float(foot.curvature)),
+            )  # fmt: skip
+            for name, deviation in SENSOR_NOISE.items():
+                factor, step = stretch.faults.get(name, (1.0, 0.0)) if math.sin(turn) > 0.0 else (1.0, 0.0)
+                values[name] = factor * values[name] + step + deviation * stretch.noise * rng.normal()
+            sample = np.full(len(CALL), math.nan)
+            sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values.values()
+            sample[CALL.friction :] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
+            sample[CALL.x :][rng.random(len(CALL) - CALL.x) < stretch.missing] = math.nan
+            sample[[getattr(CALL, name) for name in stretch.without]] = math.nan
+            yield sample
 
 
-def _points(road: Road, seconds: float, fastest: float) -> tuple[Array, bool]:
-    """Points of the beginning of a road, and whether they make a lap."""
-    length = min(road.length, fastest * (seconds + AHEAD))
-    closed = road.closed and length == road.length
-    count = max(4, math.ceil(length / SPACING))
-    along = road.at(np.linspace(0.0, length, count + 1)[: count if closed else count + 1])
-    return np.stack([along.x, along.y], axis=-1), closed
+def _extended(plan: SpeedPlan, length: float) -> SpeedPlan:
+    """The speed at fewer places, and slow in the bends up to a length (m)."""
+    last = float(plan.s[-1])
+    s = np.linspace(0.0, last, max(2, math.ceil(last / SPACING)))
+    return replace(
+        plan, s=np.array([*s, last + SPACING, length]), speed=np.array([*plan.at(s), BEND_SPEED, BEND_SPEED])
+    )
+
+
+def _tightest(controller: Controller) -> float:
+    """1/m, curvature of a bend that asks for a little more than the largest wheel angle."""
+    most = min(*map(abs, controller.limits.angle), MOST_ANGLE)
+    return 1.15 * most / (controller.vehicle.lf + controller.vehicle.lr)
+
+
+def _points(road: Road, length: float) -> Array:
+    """Points of the beginning of a road."""
+    along = road.at(np.linspace(0.0, length, max(4, math.ceil(length / SPACING)) + 1))
+    return np.stack([along.x, along.y], axis=-1)
+
+
+def _bends(path: Road, tightest: float) -> Array:
+    """Points of a bend to the left and one to the right of a curvature (1/m), behind the end of a path."""
+    end = path.at(path.length)
+    curvature = np.interp(
+        np.arange(0.0, 25.0, BEND_SPACING), [5, 10, 12, 13, 18, 20, 20.5], tightest * np.array([0, 1, 1, 0, -1, -1, 0])
+    )
+    heading = float(end.heading) + BEND_SPACING * np.cumsum(curvature)
+    steps = BEND_SPACING * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return np.array([float(end.x), float(end.y)]) + np.cumsum(steps, axis=0)
 
 
 class _Driver(Controller):
@@ -107,12 +242,12 @@ class _Driver(Controller):
     period: float
     sees_all_sensors = True
 
-    def __init__(self, controller: Controller, path: Road, plan: SpeedPlan, seconds: float) -> None:
+    def __init__(self, controller: Controller, path: Road, plan: SpeedPlan, seconds: float, furthest: float) -> None:
         self.period, self.limits, self.vehicle = controller.period, controller.limits, controller.vehicle
-        self.plan, self._twin = plan, Twin(controller, path, plan)
+        self.plan, self._twin = plan, Twin(controller, path, plan, furthest)
         self._instant, self._seconds = 0, seconds
-        self.samples: list[tuple[float, ...]] = []
-        self.answers: list[tuple[float, ...]] = []
+        self.samples: list[Array] = []
+        self.answers: list[Array] = []
 
     def step(
         self, state: Any, speed: float, reference: Any, variables: Any = None, road: RoadAhead | None = None
@@ -125,10 +260,14 @@ class _Driver(Controller):
         offset, yaw = float(measured[MEASURED.y]), float(foot.heading) + float(measured[MEASURED.yaw])
         x, y = float(foot.x) - offset * math.sin(foot.heading), float(foot.y) + offset * math.cos(foot.heading)
         rest = [float(measured[i]) for i in (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration)]
-        sample = (now - age, now, x, y, yaw, float(speed), *rest, float(measured[MEASURED.wheel_angle]))
-        found = self._twin.call(sample)
-        if now < self._seconds:
-            self.samples.append(sample)
-            self.answers.append(tuple(found[:5].tolist()))
+        sample = np.full(len(CALL), math.nan)
+        sample[: CALL.friction] = now - age, now, x, y, yaw, speed, *rest, measured[MEASURED.wheel_angle]
         self._instant += 1
-        return float(found[TRACKED.command])
+        return self.call(sample) if now < self._seconds else 0.0
+
+    def call(self, sample: Array) -> float:
+        """Keep a call, and return its command (rad)."""
+        answer = self._twin.call(sample)
+        self.samples.append(sample)
+        self.answers.append(answer)
+        return float(answer[TRACKED.command])

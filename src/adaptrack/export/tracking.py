@@ -133,9 +133,18 @@ def small_record_of(
     """`record_of`, of an MPC with memory for no longer horizons than it needs (`room_of`)."""
     record = record_of(controller, path, plan, furthest)
     if isinstance(controller, MPC):
-        small = controller.settings(*room_of(controller, room), residuals=False)
+        longest, most = room_of(controller, room)
+        small = controller.settings(longest + _room_for_lag(controller), most, residuals=False)
         record = record._replace(step=record.step._replace(mpc=_with_learned(controller, small)))
     return record
+
+
+def _room_for_lag(controller: MPC) -> int:
+    """Instants by which the road ahead has to be known further: the lag may be learned to be longer than assumed."""
+    if controller.learner is None:
+        return 0
+    longer = controller.learner.limits.lag[1] - controller.learner.ranges.lag[0]
+    return math.ceil(longer / controller.period)
 
 
 def _with_learned(controller: MPC, settings: Any) -> Any:
@@ -159,7 +168,7 @@ class Twin:
         self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
         self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
 
-    def call(self, sample: Sequence[float]) -> NDArray[np.float64]:
+    def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """What a call gives, a row of `core.tracker.records.TRACKED`; sample: the first entries of one of `SAMPLE`."""
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample

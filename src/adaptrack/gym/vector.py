@@ -96,7 +96,7 @@ class _VectorEnv(VectorEnv):
         return {**vars(self), "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
+        self.__dict__.update(state)
         self._pool = self._new_pool()
         self._blocks = [self._attached(block) for block in self._blocks]
 

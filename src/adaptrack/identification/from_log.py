@@ -15,6 +15,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed import without_computed
@@ -23,6 +24,7 @@ from adaptrack.identification.conventions import check_conventions, check_positi
 from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.quantities import (
     INDEX,
     QUANTITIES,
@@ -34,14 +36,13 @@ from adaptrack.identification.quantities import (
 from adaptrack.identification.ratio import OPEN, gain_of, judged, of_found
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.identification.several import combined, shared_by
+from adaptrack.identification.starts import find_optima
 from adaptrack.identification.words import findings
 
 Array = NDArray[np.float64]
 
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
-FIRST_DELAYS = (0.12, 0.25, 0.45)
-"""s, from the most likely of which the fit starts."""
 BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
@@ -49,8 +50,7 @@ RATIO_SPREAD = (0.3, 0.1)
 THIRDS, LEAST_THIRDS = 3, 50.0
 """Stretches of a log that are compared; s of driving from which they are."""
 SHARED = (
-    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "yaw_inertia", "lf", "ratio", "rate",
-    "relaxation",
+    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "lf", "ratio", "rate", "relaxation",
 )  # fmt: skip
 """Estimates that belong to the car: logs of one car share them."""
 _STEP = 1e-4
@@ -67,10 +67,13 @@ class Fit(NamedTuple):
     z: Array
     covariance: Array
     """of the free entries of z"""
+    rivals: tuple[Array, ...]
+    """points that are as likely"""
     columns: Columns
     beliefs: dict[str, Prior]
 
 
+@tells("identify")
 @checked
 def identify(
     log: str | os.PathLike[str] | Mapping[str, object] | Sequence[str | os.PathLike[str] | Mapping[str, object]],
@@ -81,6 +84,7 @@ def identify(
     reading: Reading | None = None,
     known: Mapping[str, Prior] | None = None,
     computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
+    progress: ProgressCall | None = None,
 ) -> Identification:
     """Identify a car from a log of its driving, or several.
 
@@ -101,6 +105,8 @@ def identify(
     computation
         Of the log's dead time that lies in the controller's computation: it is taken off what the car's file
         gets. By default what the profile of an own trajectory says, else 0.
+    progress
+        Called with the stage, and how many of its logs are done, of how many. By default long work says how far it is.
 
     Raises
     ------
@@ -117,12 +123,16 @@ def identify(
     read = [read_columns(each, reading or Reading()) for each in sources]
     if computation is not None:
         read = [replace(each, computation=computation) for each in read]
-    fits = _fits(read, believed, beliefs)
-    alone = [_alone(each, curve) for each in fits]
+    show: ProgressCall = progress or (lambda *_: None)
+    fits = _fits(read, believed, beliefs, show)
+    alone: list[Identification] = []
+    for fit in fits:
+        show("validation", len(alone), len(fits))
+        alone.append(_alone(fit, curve))
     return alone[0] if len(alone) == 1 else _together(fits, alone)
 
 
-def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior]) -> list[Fit]:
+def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall) -> list[Fit]:
     """Each log by itself; ratios that are to be found are measured from one guess."""
     own = [dict(beliefs) for _ in read]
     prepared = [_prepared(columns, believed, each) for columns, each in zip(read, own, strict=True)]
@@ -130,24 +140,26 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
     if len(unknown) > 1:
         common = float(np.median(unknown))
         prepared = [_prepared(columns, believed, each, common) for columns, each in zip(read, own, strict=True)]
-    return [
-        Fit(likelihood, *fitted(likelihood), columns, each)
-        for likelihood, columns, each in zip(prepared, read, own, strict=True)
-    ]
+    fits: list[Fit] = []
+    for likelihood, columns, each in zip(prepared, read, own, strict=True):
+        show("fit", len(fits), len(read))
+        fits.append(Fit(likelihood, *optimum(likelihood), columns, each))
+    return fits
 
 
 def _alone(fit: Fit, curve: Tyre) -> Identification:
     """What one log says."""
-    likelihood, z, covariance, columns, beliefs = fit
+    likelihood, z, covariance, rivals, columns, beliefs = fit
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
     kept, against, open_ratio = _ratio(fit, estimates)
     reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
+    limits = _rivals_sentence(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
     rows = [i for i, name in enumerate(estimates) if name in kept]
     return Identification(
-        kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation,
-        findings(log, estimates, validation) + open_ratio, log, car, curve, columns.computation, series, tuple(reasons),
+        kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car, curve,
+        columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
 
@@ -193,7 +205,7 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
     """
     check_positions(columns.values)
     values, computed = without_computed(columns.values, believed.wheelbase)
-    cleaned = log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded)
+    cleaned = shorten_log(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
     cleaned = replace(cleaned, ratio=columns.ratio)
     if columns.ratio_unknown:
         known = believed.steering.ratio if believed.steering is not None else None
@@ -245,21 +257,26 @@ def _noises(log: Log) -> dict[str, Prior]:
 
 
 def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
-    """The most likely point z of a log, and the covariance of its free entries.
+    """The most likely point z of a log, and the covariance of its free entries."""
+    z, covariance, _ = optimum(likelihood)
+    return z, covariance
+
+
+def optimum(likelihood: Likelihood) -> tuple[Array, Array, tuple[Array, ...]]:
+    """The most likely point z of a log, the covariance of its free entries, and points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
+    Points that are as likely widen the covariance by their distance.
     """
-    starts = []
-    for delay in FIRST_DELAYS:
-        z = np.zeros(len(QUANTITIES))
-        if likelihood.log.commanded and likelihood.spread[INDEX["delay"]] > 0.0:
-            z[INDEX["delay"]] = math.log(delay / likelihood.median[INDEX["delay"]]) / likelihood.spread[INDEX["delay"]]
-        starts.append((likelihood.objective(z), delay, z))
-    z, _ = likelihood.fit(min(starts, key=lambda each: each[0])[2], NEARLY)
+    z, rivals = find_optima(likelihood)
     likelihood.follow_gusts(z)
     z, _ = likelihood.fit(z, NEARLY)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
-    return z, likelihood.covariance(at)
+    covariance = likelihood.covariance(at)
+    for rival in rivals:
+        gap = (rival - z)[likelihood.free]
+        covariance += np.outer(gap, gap)
+    return z, covariance, rivals
 
 
 # -- what is reported -------------------------------------------------------------------------------------------------
@@ -289,7 +306,6 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
         ("understeer_gradient", "rad s^2/m", "steering per lateral acceleration in a steady bend", False, gradient),
         ("front", "N/rad", "cornering stiffness of the front axle", True, _value("front")),
         ("rear", "N/rad", "cornering stiffness of the rear axle", True, _value("rear")),
-        ("yaw_inertia", "kg m^2", "yaw inertia", True, _value("yaw_inertia")),
         ("lf", "m", "centre of gravity to front axle", True, lambda v: float(v[INDEX["front_share"]] * wheelbase)),
     ]
     if likelihood.spread[INDEX["gain"]] > 0.0:
@@ -342,7 +358,7 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
             value = math.exp(centre[i]) if positive else float(centre[i])
-            wider[i] = corrected(name, spread[i], value, positive, prior[i]) / spread[i]
+            wider[i] = corrected(name, spread[i], value, positive, prior[i], likelihood.log.tightest) / spread[i]
     spread *= wider
     found = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
@@ -359,6 +375,18 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
             left, shift,
         )  # fmt: skip
     return found, wider[:, None] * jacobian
+
+
+def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
+    """A sentence on cars that fit a log equally well; none where there is one."""
+    if not rivals:
+        return ()
+    cars = []
+    for values in map(likelihood.values, (z, *rivals)):
+        front, rear = (1e-3 * values[INDEX[axle]] for axle in ("front", "rear"))
+        delay = f"delay {values[INDEX['delay']]:.3g} s, " if likelihood.log.commanded else ""
+        cars.append(f"{delay}axles {front:.3g} and {rear:.3g} kN/rad")
+    return (f"different cars fit the log equally well ({'; '.join(cars)}): quick steering at speed tells them apart",)
 
 
 # -- consistency ------------------------------------------------------------------------------------------------------
@@ -396,7 +424,7 @@ def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
     before = np.linalg.norm(jacobian, axis=1)
     for i, (name, _, _, positive, _) in enumerate(rows):
         value = math.exp(mean[i]) if positive else float(mean[i])
-        spread[i] = corrected(name, spread[i], value, positive, before[i])
+        spread[i] = corrected(name, spread[i], value, positive, before[i], fit.likelihood.log.tightest)
     return Said(mean, spread**2)
 
 

@@ -48,9 +48,9 @@ class KinematicMPC(CompiledController):
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
 
     weights: by name, see `WEIGHTS`, those not given as Autoware ships them; cutoff: Hz, of the second-order Butterworth
-    filter on the command, 0 for none; stages, step (s): the horizon. profile, belief: what it knows of steering and
-    sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and those of the belief. It does not
-    use the lateral velocity or the yaw rate.
+    filter on the command, 0 for none; stages, step (s): the horizon. profile, belief, computation (s): what it knows of
+    steering, sensors and loop, as for `MPC`; period (s), preview, limits: by default the profile's, and those of the
+    belief. It does not use the lateral velocity or the yaw rate.
 
     Raises
     ------
@@ -76,13 +76,14 @@ class KinematicMPC(CompiledController):
         step: float = STEP,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
+        computation: float | None = None,
         period: float | None = None,
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
         **weights: float,
     ) -> None:
         self.vehicle = vehicle
-        setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
+        setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits, computation)
         self.belief, self.pose_age = setup.belief, setup.pose_age
         self.stages = whole("KinematicMPC", "stages", stages)
         if not 1 <= self.stages <= MOST_STAGES:

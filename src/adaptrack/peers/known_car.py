@@ -34,7 +34,7 @@ class KnownCar:
     @classmethod
     def of(
         cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
-        tyre: Tyre | str | None, friction: float, period: float | None,
+        tyre: Tyre | str | None, friction: float, period: float | None, computation: float | None = None,
     ) -> Self:  # fmt: skip
         """Arguments as for `MPPI`; where: who asks, for messages.
 
@@ -43,7 +43,7 @@ class KnownCar:
         InvalidInput
             For arguments that describe no car.
         """
-        world, control_period, said = world_and_belief(where, vehicle, profile, belief, period)
+        world, control_period, said = world_and_belief(where, vehicle, profile, belief, period, computation)
         if not 0.0 < real(where, "friction", friction) < math.inf:
             raise InvalidInput(f"{where}: friction = {friction!r}: must be positive and finite.")
         known = tyre if isinstance(tyre, Tyre) else load_tyre(vehicle.tyre if tyre is None else tyre)

@@ -32,7 +32,8 @@ class MPPI(CompiledController):
     wheels and perhaps the lateral velocity, is the model's. Draws are counted: the same seed, the same drive.
 
     profile: whose period and preview are taken, and whose actuator is believed where neither `belief` nor the car's
-    file says, as by `MPC`; tyre: by default the car's; friction: coefficient that the tyres are thought to have.
+    file says, as by `MPC`; computation: s, as for `MPC`;
+    tyre: by default the car's; friction: coefficient that the tyres are thought to have.
 
     temperature: m^2 s; spread: rad/s, standard deviation of the sampled steering rate; q_e: 1; q_course: m^2/rad^2;
     r: m^2 s^2/rad^2; samples: a multiple of 64; horizon: s; rounds: of sampling in a step; seed: of the draws; the
@@ -57,6 +58,7 @@ class MPPI(CompiledController):
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
+        computation: float | None = None,
         tyre: Tyre | str | None = None,
         friction: float = 1.0,
         temperature: float = 0.0005,
@@ -72,7 +74,7 @@ class MPPI(CompiledController):
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
-        self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period)
+        self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period, computation)
         self.horizon = real("MPPI", "horizon", horizon)
         if not self.car.period <= self.horizon <= MOST_STAGES * self.car.period:
             raise InvalidInput(

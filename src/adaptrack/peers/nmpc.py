@@ -79,7 +79,8 @@ class NMPC(Controller):
     the informed MPC gives the state at their end, and by d_y and d_r what its pushes and its linear tyres know beyond
     the Magic Formula at that state; otherwise the state is taken as measured, what is not measured from the model.
 
-    profile, belief, tyre, friction, period, limits, preview: as for `MPPI`; R: by default that of the informed MPC.
+    profile, belief, computation, tyre, friction, period, limits, preview: as for `MPPI`; R: by default that of the
+    informed MPC.
 
     Raises
     ------
@@ -101,6 +102,7 @@ class NMPC(Controller):
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
+        computation: float | None = None,
         tyre: Tyre | str | None = None,
         friction: float = 1.0,
         estimating: bool = True,
@@ -113,7 +115,7 @@ class NMPC(Controller):
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
-        self.car = KnownCar.of("NMPC", vehicle, profile, belief, tyre, friction, period)
+        self.car = KnownCar.of("NMPC", vehicle, profile, belief, tyre, friction, period, computation)
         self.period, self.estimating = self.car.period, bool(estimating)
         own = informed_tuning(self.car.profile, self.period).R if R is None else R
         self.tuning: Mapping[str, float] = {"q_e": q_e, "q_course": q_course, "R": own}

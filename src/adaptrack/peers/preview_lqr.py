@@ -34,9 +34,9 @@ class PreviewLQR(CompiledController):
     the steady turn of the linear car.
 
     q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
-    of the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is known. profile, belief:
-    what it knows of steering and sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and
-    those of the belief. A lateral velocity that is not measured counts as 0.
+    of the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is known. profile, belief,
+    computation (s): what it knows of steering, sensors and loop, as for `MPC`; period (s), preview, limits: by default
+    the profile's, and those of the belief. A lateral velocity that is not measured counts as 0.
 
     Raises
     ------
@@ -62,12 +62,13 @@ class PreviewLQR(CompiledController):
         ahead: float = PREVIEW,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
+        computation: float | None = None,
         period: float | None = None,
         limits: LimitsArgument | None = None,
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle
-        setup = LoopSetup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
+        setup = LoopSetup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits, computation)
         self.belief, self.pose_age = setup.belief, setup.pose_age
         if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")

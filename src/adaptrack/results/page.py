@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.html import content_policy
 from adaptrack.base.result import Column, Panel, Result, ResultTable, Stroke
 from adaptrack.base.text import printable
 from adaptrack.results import draw, style
@@ -77,9 +78,11 @@ def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, M
     """The page of a result as HTML text: the template of its kind, or one that shows everything it holds."""
     environment = _environment()
     template = environment.select_template([f"{result.kind}.html.j2", "result.html.j2"])
+    scripts = re.findall(r"<script>(.*?)</script>", "".join((embedded or {}).values()), re.DOTALL)
     return template.render(
         result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
         created=clock(result.created), version=__version__, png=png, titles=[],
+        policy=Markup(content_policy(scripts)),
         pictures={each.name: each for each in result.pictures}, tables={each.name: each for each in result.tables},
         **(embedded or {}),
     )  # fmt: skip

@@ -141,14 +141,20 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     Parameters
     ----------
     points : (n, 2) array
-        x, y in m, no two alike in a row; a lap ends before its start.
+        x, y in m; a lap ends at or before its start. Points in a row count as one, the first, if their distance is at
+        most a tenth of the step on either side and 0.2 m: such a step would turn the road by the error of its points.
     closed, name, **along
         As in `Road.from_segments`.
+
+    Returns
+    -------
+    Road
+        `notes` name the points that were left out because they count as one with another.
 
     Raises
     ------
     InvalidInput
-        When points are too few, not finite, alike in a row, or fold back on themselves.
+        When points are too few, not finite, or fold back on themselves.
     """
     points = _checked("road_through", points, path.SHORTEST)
     size = path.path_words(points, closed)
@@ -162,11 +168,31 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         raise InvalidInput(f"road_through: {_FLAWS[status].format(found, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
-    return Road(name=name, table=table, closed=closed, **alongs(along))
+    return Road(name=name, table=table, closed=closed, notes=_repetition_notes(points, closed), **alongs(along))
+
+
+def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
+    """A note on the points that a path leaves out, with the distance to the nearest one that it goes through."""
+    rows = np.empty(len(points))
+    rows = rows[: path.points_apart(points, closed, rows)].astype(np.int64)
+    repetitions = np.setdiff1d(np.arange(len(points)), rows)
+    if repetitions.size == 0:
+        return ()
+    after = np.searchsorted(rows, repetitions)
+    sides = np.stack([rows[after - 1], rows[after % rows.size]])
+    distances = np.hypot(*np.moveaxis(points[repetitions] - points[sides], -1, 0))
+    nearest = np.take_along_axis(sides, distances.argmin(axis=0)[np.newaxis], axis=0)[0]
+    texts = [
+        f"point {row} ({distance:.3g} m from point {neighbour})"
+        for row, neighbour, distance in zip(repetitions, nearest, distances.min(axis=0), strict=True)
+    ]
+    if len(texts) > MOST_NAMED:
+        texts = [*texts[:MOST_NAMED], f"{len(texts) - MOST_NAMED} more"]
+    return (f"{repetitions.size} of {len(points)} points left out as repeated: {', '.join(texts)}",)
 
 
 _FLAWS = {
-    path.TWICE: "point {} comes twice; leave one out.",
+    path.TOO_FEW: "{} points lie apart from each other: at least 4 are needed.",
     path.TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
     path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
     path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",

@@ -130,6 +130,17 @@ class SpeedPlan:
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     @property
+    def stops(self) -> list[Stop]:
+        """Where the plan stands, and for how long; without the ends of an open road at which it just begins or ends."""
+        stands = np.flatnonzero(self.speed[:-1] == 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moving = np.diff(self.s) / (0.5 * (self.speed[1:] + self.speed[:-1]))
+            seconds = np.maximum(np.round(np.diff(self.time) - moving, 9), 0.0)[stands]
+        seconds[np.isnan(seconds)] = math.inf
+        stops = map(Stop, self.s[stands].tolist(), seconds.tolist())
+        return [stop for stop in stops if self.closed or stop.s > 0.0 or stop.seconds > 0.0]
+
+    @property
     def acceleration(self) -> Array:
         """(n - 1,) m/s^2, along the road, between the places."""
         return 0.5 * np.diff(self.speed**2) / np.diff(self.s)
@@ -320,6 +331,7 @@ def _soften(planning: Any, closed: bool) -> None:
 
     The jerk is v a' = v w''/2. With v at most the fastest, |w''| <= 2 jerk/v_fastest keeps it, as the bounds on a at
     the fastest speed keep those at a lower one; the least time is that of the largest sum of w ds/w_fastest^(3/2).
+    At a stop the acceleration ends with the motion, as at the ends of a road.
     """
     jerk, start = planning.bounds.jerk, planning.bounds.start
     fastest, ds = planning.table[PLAN.square], np.diff(planning.table[PLAN.s])
@@ -332,11 +344,16 @@ def _soften(planning: Any, closed: bool) -> None:
     drive, brake = np.empty(n - 1), np.empty(n - 1)
     kernel.plan_accelerations(planning, drive, brake)
     share = 2.0 * jerk / np.maximum(np.maximum(v[1:-1], 0.5 * (v[:-2] + v[2:])), 0.1)
+    moving = fastest[1:-1] > 0.0
+    bend, share = bend[moving], share[moving]
     rows, bounds = [slope, -slope, bend, -bend], [np.maximum(2.0 * drive, 0.0), 2.0 * brake, share, share]
-    if closed:
+    if closed and fastest[0] > 0.0:
         seam = (slope[[0]] - slope[[n - 2]]) * (2.0 / (ds[0] + ds[-1]))
-        rows += [seam, -seam, sparse.csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n))]
-        bounds += [share[:1], share[:1], np.zeros(1)]
+        rows += [seam, -seam]
+        bounds += [share[:1], share[:1]]
+    if closed:
+        rows.append(sparse.csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n)))
+        bounds.append(np.zeros(1))
     worth = np.concatenate([ds, [ds[-1]]]) / np.maximum(fastest, 1.0) ** 1.5
     low = np.zeros(n)
     low[0] = 0.0 if math.isnan(start) else fastest[0] * (1.0 - 1e-9)

@@ -10,8 +10,6 @@ from adaptrack.scenario.shapes import (
     Gust,
     Knots,
     LaneChange,
-    Pulse,
-    Ramp,
     Shape,
     Sine,
     Step,
@@ -20,7 +18,7 @@ from adaptrack.scenario.shapes import (
     as_shape,
 )
 from adaptrack.scenario.signals import Signals
-from adaptrack.scenario.surroundings import Patch, PolarWind, Wind
+from adaptrack.scenario.surroundings import Patch, Wind
 
 __all__ = [
     "CONTROL_PERIOD",
@@ -30,9 +28,6 @@ __all__ = [
     "Knots",
     "LaneChange",
     "Patch",
-    "PolarWind",
-    "Pulse",
-    "Ramp",
     "RoadDrive",
     "Scenario",
     "Shape",

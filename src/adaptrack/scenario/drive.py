@@ -16,7 +16,7 @@ from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning import drive as kernel
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
-from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind
+from adaptrack.scenario.surroundings import Wind, as_wind
 
 if TYPE_CHECKING:
     from adaptrack.road.road import Road
@@ -44,7 +44,7 @@ class RoadDrive:
     """of a closed road"""
     reference: Shape | float = 0.0
     """m, offset from the centre line to follow, over time"""
-    wind: Wind | PolarWind | Any = 0.0
+    wind: Wind | Any = 0.0
     """m/s, over time, in the world; what `Scenario` takes"""
     start_offset: Annotated[Finite, "m"] | None = None
     """at the start; None: on the reference"""

@@ -39,7 +39,7 @@ COMMON_OPTIONS = {
     "speed": "m/s",
     "friction": "one value, [left, right] or one for each wheel",
     "friction_patches": "stretches of other friction",
-    "wind": "m/s: lateral, [x, y] or {speed, direction}",
+    "wind": "m/s: lateral, or [x, y]",
     "wind_gain": "factor on the wind",
     "start_y": "m, lateral position at the start",
     "start_heading": "rad, heading at the start",

@@ -18,8 +18,8 @@ from adaptrack.base.files import Record, build, dump_toml, read_toml, write_atom
 from adaptrack.base.limits import DURATION, PERIODS, check_limit
 from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
 from adaptrack.scenario.signals import Signals, instants
-from adaptrack.scenario.surroundings import WHEELS, Patch, PolarWind, Wind, as_friction, as_patches, as_wind
-from adaptrack.scenario.tables import FRICTION_COLUMNS, insert_csv_columns, read_scenario_table
+from adaptrack.scenario.surroundings import WHEELS, Patch, Wind, as_friction, as_patches, as_wind
+from adaptrack.scenario.tables import FRICTION_COLUMNS, read_scenario_table
 
 CONTROL_PERIOD = 0.1
 """The sampling time of the paper's controller, s."""
@@ -54,7 +54,7 @@ class Scenario(Record):
     friction_patches: Annotated[tuple[Patch, ...], BeforeValidator(as_patches)] = Field(
         default=(), description="the last one that covers an instant counts"
     )
-    wind: Annotated[Wind | PolarWind, BeforeValidator(as_wind)] = Field(default=Wind(), description="m/s")
+    wind: Annotated[Wind, BeforeValidator(as_wind)] = Field(default=Wind(), description="m/s")
     wind_gain: float = Field(default=1.0, description="factor on the wind")
     bank: Signal | None = Field(default=None, description="of the road, rad, positive when it pushes to the left")
     start_y: float | None = Field(default=None, description="m, lateral position at the start; none: on the reference")
@@ -267,12 +267,7 @@ class Scenario(Record):
         ConfigError
             With every problem in it: its key, the value found and what is allowed.
         """
-        data = read_toml(path)
-        try:
-            data = insert_csv_columns(data, Path(path).parent)
-        except InvalidInput as error:
-            raise ConfigError(f"{os.fspath(path)}: {error}") from None
-        return build(cls, {"name": Path(path).stem} | data, path)
+        return build(cls, {"name": Path(path).stem} | read_toml(path), path)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, text, lists and tables, as in the scenario's TOML file; `None` where that is silent."""

@@ -140,27 +140,12 @@ class Knots(Shape):
       Comput. 5, 1984; end slopes after C. Moler, Numerical Computing with MATLAB, 2004, section 3.6);
     * ``"cubic"``: the natural cubic spline, of continuous slope and curvature, curvature zero at both ends (C. de Boor,
       A Practical Guide to Splines, 1978, chapter IV).
-
-    Two lists of equal length, ``t = [...]`` and ``values = [...]``, may stand in place of ``points``.
     """
 
     kind = "knots"
 
     points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(as_tuples)]
     method: Method = "linear"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _join_lists(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping) or not ({"t", "values"} & data.keys()):
-            return data
-        if "points" in data or not {"t", "values"} <= data.keys():
-            raise InvalidInput("give either 'points', or both 't' and 'values'.")
-        t, values = as_tuples(data["t"]), as_tuples(data["values"])
-        if not (isinstance(t, tuple) and isinstance(values, tuple)) or len(t) != len(values):
-            raise InvalidInput("'t' and 'values' must be two lists of the same length.")
-        rest = {key: each for key, each in data.items() if key not in ("t", "values")}
-        return rest | {"points": tuple(zip(t, values, strict=True))}
 
     @model_validator(mode="after")
     def _check_times(self) -> Self:
@@ -247,27 +232,6 @@ class Step(Shape):
     def rate(self, t: ArrayLike) -> Array:
         """See `Shape.rate`."""
         return np.zeros(np.shape(t))
-
-
-class Ramp(Shape):
-    """A straight line from ``before`` at ``start`` to ``after``, reached ``duration`` later."""
-
-    kind = "ramp"
-    linear_in = ("before", "after")
-
-    before: float = 0.0
-    after: float
-    start: Time
-    duration: Span
-
-    def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
-        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
-        return (1.0 - s) * self.before + s * self.after
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        return np.where(_during(t, self.start, self.duration), (self.after - self.before) / self.duration, 0.0)
 
 
 QUINTIC_SLOPE, QUINTIC_PEAK = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
@@ -377,26 +341,8 @@ class Gust(Shape):
     def rate(self, t: ArrayLike) -> Array:
         """See `Shape.rate`."""
         inner = self.peak * math.pi / self.duration * np.sin(math.tau * _elapsed(t, self.start, self.duration))
-        return np.where(_during(t, self.start, self.duration), inner, 0.0)
-
-
-class Pulse(Shape):
-    """``height`` from ``start`` until ``start + duration``, 0 before and after."""
-
-    kind = "pulse"
-    linear_in = ("height",)
-
-    height: float
-    start: Time
-    duration: Span
-
-    def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
-        return np.where(_during(t, self.start, self.duration), self.height, 0.0)
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        return np.zeros(np.shape(t))
+        t = np.asarray(t, dtype=np.float64)
+        return np.where((t >= self.start) & (t < self.start + self.duration), inner, 0.0)
 
 
 def _as_terms(value: Any) -> Any:
@@ -430,7 +376,7 @@ class Sum(Shape):
 
 
 SHAPES: dict[str, type[Shape]] = {
-    shape.kind: shape for shape in (Constant, Knots, Step, Ramp, LaneChange, TanhSteps, Sine, Gust, Pulse, Sum)
+    shape.kind: shape for shape in (Constant, Knots, Step, LaneChange, TanhSteps, Sine, Gust, Sum)
 }
 """The shapes by their names in scenario files."""
 
@@ -438,12 +384,6 @@ SHAPES: dict[str, type[Shape]] = {
 def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
     """The share of the span from `start` that has passed at `t`: 0 at its start, 1 at its end."""
     return (np.asarray(t, dtype=np.float64) - start) / duration
-
-
-def _during(t: ArrayLike, start: float, duration: float) -> NDArray[np.bool_]:
-    """Whether `t` lies in the span: its start does, its end does not."""
-    t = np.asarray(t, dtype=np.float64)
-    return (t >= start) & (t < start + duration)
 
 
 def _product(factor: float, value: float) -> float:

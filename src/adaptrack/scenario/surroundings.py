@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from adaptrack.base.errors import InvalidInput, did_you_mean
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record, build
 from adaptrack.scenario.shapes import Array, Constant, Shape, Signal, as_shape
 from adaptrack.scenario.signals import HIGHEST_FRICTION
@@ -53,41 +53,12 @@ class Wind(Record):
         return {"x": self.x.table(), "y": self.y.table()}
 
 
-class PolarWind(Record):
-    """Wind by ``speed`` (m/s) and ``direction`` (rad): where it blows *to*, counter-clockwise from +X.
-
-    Direction 0 is a tail wind, π/2 blows towards the left.
-    """
-
-    speed: Signal
-    direction: Signal
-
-    def at(self, t: ArrayLike) -> Array:
-        """Wind vectors (..., 2) at the times `t`."""
-        speed, direction = self.speed.at(t), self.direction.at(t)
-        return np.stack([speed * np.cos(direction), speed * np.sin(direction)], axis=-1)
-
-    def mirrored(self) -> PolarWind:
-        """The same wind with left and right exchanged."""
-        return self.replace(direction=self.direction.scaled(-1.0))
-
-    def table(self) -> Any:
-        """The wind as a scenario file holds it."""
-        return {"speed": self.speed.table(), "direction": self.direction.table()}
-
-
-def as_wind(value: Any) -> Wind | PolarWind:
-    """The wind that a number or shape (lateral), a pair [x, y], or a table {x, y} or {speed, direction} means."""
-    if isinstance(value, Wind | PolarWind):
+def as_wind(value: Any) -> Wind:
+    """The wind that a number or shape (lateral), a pair [x, y], or a table {x, y} means."""
+    if isinstance(value, Wind):
         return value
     if isinstance(value, Mapping) and "shape" not in value:
-        keys = ("x", "y", "speed", "direction", "shape")
-        for key in value:
-            if key not in keys:
-                raise InvalidInput(f"unknown key {key!r}. {did_you_mean(str(key), keys)}")
-        if {"speed", "direction"} & value.keys():
-            return build(PolarWind, value, "wind by speed and direction")
-        return build(Wind, value, "wind by x and y")
+        return build(Wind, value, "wind")
     if isinstance(value, list | tuple):
         if len(value) != 2:
             raise InvalidInput("give one lateral wind, or the pair [x, y].")

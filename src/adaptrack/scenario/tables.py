@@ -1,19 +1,16 @@
-"""Scenarios and single signals from CSV tables."""
+"""Scenarios from CSV tables."""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean
-from adaptrack.base.files import Record, build, is_number
-from adaptrack.scenario.shapes import Array, Knots, Method, as_tuples
+from adaptrack.base.files import is_number
+from adaptrack.scenario.shapes import Array
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 
 FRICTION_COLUMNS = (
@@ -24,18 +21,11 @@ FRICTION_COLUMNS = (
 """The three ways to give the friction: all wheels, sides, or each."""
 
 _ALL_COLUMNS = ("t", "y_ref", "speed", "wind_x", "wind_y", *(name for names in FRICTION_COLUMNS for name in names))
-
-
-def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """The columns of a scenario's CSV file, see `Scenario.from_csv`."""
-    return _read_table(path, _scenario_columns)
-
-
 _ROAD_COLUMNS = {"x", "y", "x_m", "y_m"}
 
 
-def _scenario_columns(header: list[str]) -> list[str]:
-    """The header of a scenario's table, checked."""
+def _check_header(header: list[str]) -> None:
+    """Refuse a header that is not one of a scenario's table."""
     if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(is_number, header))):
         raise InvalidInput(
             "these are points of a road, and a scenario is a table over the time t: drive along them with "
@@ -51,11 +41,10 @@ def _scenario_columns(header: list[str]) -> list[str]:
     missing = [name for name in wanted if name not in header]
     if missing:
         raise InvalidInput(f"column {missing[0]!r} is missing; the columns must be {', '.join(wanted)}.")
-    return header
 
 
-def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list[str]]) -> dict[str, Array]:
-    """Those columns of a CSV file that `choose` names when shown the header; ``t`` among them must increase.
+def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """The columns of a scenario's CSV file, see `Scenario.from_csv`.
 
     Raises
     ------
@@ -73,19 +62,18 @@ def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list
     if doubled:
         raise ConfigError(f"{where}: the column {doubled[0]!r} stands there twice; remove one.")
     try:
-        names = choose(header)
+        _check_header(header)
     except InvalidInput as error:
         raise ConfigError(f"{where}: {error}") from None
     if len(rows) < 2:
         raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(rows)}.")
-    places = [header.index(name) for name in names]
-    table = np.empty((len(rows), len(names)))
+    table = np.empty((len(rows), len(header)))
     for k, (line, row) in enumerate(rows):
         where = f"{os.fspath(path)}, line {line}"
         if len(row) != len(header):
             raise ConfigError(f"{where}: {len(row)} cells, but the header has {len(header)} columns.")
-        table[k] = [_number(where, name, row[place]) for name, place in zip(names, places, strict=True)]
-    t = table[:, names.index("t")]
+        table[k] = [_number(where, name, cell) for name, cell in zip(header, row, strict=True)]
+    t = table[:, header.index("t")]
     late = np.diff(t) <= 0.0
     if late.any():
         k = int(late.argmax())
@@ -93,7 +81,7 @@ def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list
             f"{os.fspath(path)}, line {rows[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
             f"t = {float(t[k])!r} in line {rows[k][0]}; sort the rows by time and remove repetitions."
         )
-    return {name: table[:, j].copy() for j, name in enumerate(names)}
+    return {name: table[:, j].copy() for j, name in enumerate(header)}
 
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
@@ -125,35 +113,3 @@ def _number(where: str, name: str, cell: str) -> float:
     if name.startswith("friction") and not 0.0 < number <= HIGHEST_FRICTION:
         raise ConfigError(f"{where}: {name} = {cell!r} must be a coefficient such as 0.8, > 0 and at most 3.")
     return number
-
-
-class _CsvColumn(Record):
-    """In a scenario file only: a curve through one ``column`` of a CSV ``file`` beside it, over its column ``t``."""
-
-    shape: Literal["csv"]
-    file: str
-    column: str
-    method: Method = "linear"
-
-    def read(self, folder: Path) -> Knots:
-        """The curve; time counts from the first row."""
-        columns = _read_table(folder / self.file, self._choose)
-        points = np.stack([columns["t"] - columns["t"][0], columns[self.column]], axis=-1)
-        return Knots(points=as_tuples(points), method=self.method)
-
-    def _choose(self, header: list[str]) -> list[str]:
-        for name in ("t", self.column):
-            if name not in header:
-                raise InvalidInput(f"there is no column {name!r}. {did_you_mean(name, header)}")
-        return ["t", self.column]
-
-
-def insert_csv_columns(data: Any, folder: Path) -> Any:
-    """`data` of a scenario file in `folder`, with the curve itself wherever it names a column of a CSV file."""
-    if isinstance(data, list):
-        return [insert_csv_columns(each, folder) for each in data]
-    if not isinstance(data, dict):
-        return data
-    if data.get("shape") == "csv":
-        return build(_CsvColumn, data, "shape 'csv'").read(folder)
-    return {key: insert_csv_columns(value, folder) for key, value in data.items()}

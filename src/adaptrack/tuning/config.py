@@ -371,7 +371,7 @@ class Setup:
 
 @lru_cache(maxsize=8)
 def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
-    """`Setup.plant`; one that runs in another process is not started for every use of it."""
+    """`Setup.plant`, made once: its maker may start a simulator."""
     _import(setup.config.plugin)
     try:
         return get_plant(name, setup.vehicle, setup.tyre if setup.config.tyre is not None else None)

@@ -44,15 +44,18 @@ class ConstantTuning(Record):
         about_controller(self.controller)
         return self
 
-    def make(self, car: Vehicle, profile: Profile, period: float, preview: bool) -> Controller:
-        """The controller with this tuning.
+    def make(
+        self, car: Vehicle, profile: Profile, period: float, preview: bool, computation: float | None = None
+    ) -> Controller:
+        """The controller with this tuning; computation: as for `MPC`.
 
         Raises
         ------
         InvalidInput
             When the entries are not those of the controller, or their values make none.
         """
-        own = get_controller(self.controller, car, profile=profile, offered={"period": period, "preview": preview})
+        offered = {"period": period, "preview": preview, "computation": computation}
+        own = get_controller(self.controller, car, profile=profile, offered=offered)
         if set(self.tuning) != set(own.tuning_names):
             given, names = ", ".join(self.tuning), ", ".join(own.tuning_names)
             raise InvalidInput(f"tuning of {self.controller!r}: entries {given}: must be {names}.")

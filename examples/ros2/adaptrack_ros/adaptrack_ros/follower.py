@@ -94,8 +94,7 @@ class Follower:
     def __init__(self, parameters: Parameters | None = None) -> None:
         self.parameters = p = parameters or Parameters()
         self.car = at.load_vehicle(p.vehicle)
-        profile = at.load_profile(p.profile)
-        self.profile = profile.replace(name=f"{profile.name}-ros", delay=p.command_delay / profile.period)
+        self.profile = at.load_profile(p.profile)
         self._tracker: at.Tracker | None = None
         self._points: Array = np.empty((0, 2))
         self._speeds: Array | None = None
@@ -115,7 +114,7 @@ class Follower:
     def controller(self) -> at.MPC:
         """A new controller of this car."""
         sensors = replace(at.KalmanFilter.of_profile(self.profile), oldest=self.parameters.oldest_sample)
-        return at.MPC(self.car, profile=self.profile, estimator=sensors)
+        return at.MPC(self.car, profile=self.profile, computation=self.parameters.command_delay, estimator=sensors)
 
     def warm_up(self) -> None:
         """Have everything compiled and loaded before the car moves: on a straight, with a controller of its own."""
@@ -191,8 +190,11 @@ class Follower:
             raise at.InvalidInput("path: its speeds must be finite and >= 0 m/s: nothing here drives backwards.")
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
         s, v = way * (road.length / way[-1]), np.minimum(speeds, p.top_speed)
-        with np.errstate(divide="ignore"):
-            time = np.concatenate([[0.0], np.cumsum(np.diff(s) / (0.5 * (v[1:] + v[:-1])))])
+        stands = np.where(v[:-1] == 0.0, math.inf, 0.0)  # until another path
+        stands[0] = 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moving = np.where(np.diff(s) > 0.0, np.diff(s) / (0.5 * (v[1:] + v[:-1])), 0.0)
+        time = np.concatenate([[0.0], np.cumsum(stands + moving)])
         return road, SpeedPlan(s, v, time, float(time[-1]), False, comfort)
 
     # -- what goes out ------------------------------------------------------------------------------------------------
@@ -238,12 +240,11 @@ class Follower:
         return Command(self._angle, 0.0, self.parameters.stop_deceleration, why)
 
     def _going(self) -> Command:
-        """The speed that is planned where the car will be in one period."""
-        if self._tracker is None or self._tracker.plan is None or self._tracked is None:
+        """The speed that is planned where the car will be in one period, and 0 from a stop on."""
+        if self._tracked is None:
             return self._stopped("no path yet")
-        place = self._tracked.station + max(self._speed, 0.0) * self.period
-        speed = float(self._tracker.plan.at(place)) if math.isfinite(place) else 0.0
-        return Command(self._angle, speed, self.parameters.acceleration)
+        speed = self._tracked.target_speed
+        return Command(self._angle, speed if math.isfinite(speed) else 0.0, self.parameters.acceleration)
 
     def diagnosis(self, now: float) -> tuple[int, str, dict[str, str]]:
         """Level, text and values for a diagnostic_msgs/DiagnosticStatus."""

@@ -9,6 +9,13 @@ namespace {
 
 constexpr double clock_jump = 2.0; // s: stamps that are older than the newest by more begin anew, as of another bag
 constexpr double lateral = 3.0;    // m/s^2, of planned speeds
+constexpr double apart = 0.2;      // m, of points from which a curvature is computed: nearer ones may be one
+// Of `SpeedTarget` in Python.
+constexpr double standing = 0.1;  // m/s
+constexpr double at_stop = 0.25;  // m, of a standing car from a stop that counts as reached
+constexpr double overshot = 3.0;  // m, of a car that is stopping from the stop of another path that counts as the same
+constexpr double jump = 20.0;     // m, beyond the last and the next stop: the car has been moved rather than driven
+constexpr double nowhere = std::numeric_limits<double>::quiet_NaN();
 
 template <class... Arguments>
 std::string text_of(const char *format, Arguments... arguments) {
@@ -28,6 +35,8 @@ double curvature_of(const double *a, const double *b, const double *c) {
     const double sides = std::hypot(ux, uy) * std::hypot(vx, vy) * std::hypot(ux + vx, uy + vy);
     return sides > 0.0 ? 2.0 * std::abs(ux * vy - uy * vx) / sides : 0.0;
 }
+
+double distance_of(const double *a, const double *b) { return std::hypot(b[0] - a[0], b[1] - a[1]); }
 
 const char *status_name(adaptrack_status status) {
     static constexpr std::array names{"ok",      "estimated", "held",    "standing", "reverse",
@@ -88,6 +97,7 @@ void Follower::path(const std::vector<double> &points, const std::vector<double>
         return;
     }
     followed_ = 1 - followed_;
+    left_ = next_ = nowhere;
     has_path_ = true;
     points_ = points;
     speeds_ = speeds;
@@ -116,11 +126,12 @@ std::string Follower::why_not(Planned &planned, const std::vector<double> &point
         error = adaptrack_path(points.data(), count, 0, planned.road.data(), 8 * planned.road.size(), &flaw);
     }
     if (error != ADAPTRACK_OK)
-        return text_of("point %zu: at least four points, finite, none twice in a row, no kink", flaw);
+        return text_of("point %zu: at least four points apart from each other, finite, no kink", flaw);
     planned.s.assign(1, 0.0);
-    for (std::size_t k = 1; k < count; k++)
-        planned.s.push_back(planned.s.back() +
-                            std::hypot(points[2 * k] - points[2 * k - 2], points[2 * k + 1] - points[2 * k - 1]));
+    for (std::size_t k = 1; k < count; k++) { // ascending, also where a point comes twice
+        const double s = planned.s.back();
+        planned.s.push_back(std::max(s + distance_of(&points[2 * k - 2], &points[2 * k]), std::nextafter(s, s + 1.0)));
+    }
     const double stretch = adaptrack_path_length(planned.road.data()) / planned.s.back();
     for (double &each : planned.s) each *= stretch;
     planned.speed.assign(count, parameters.top_speed);
@@ -136,10 +147,14 @@ std::string Follower::why_not(Planned &planned, const std::vector<double> &point
 void Follower::plan_speeds(Planned &planned, const std::vector<double> &points) const {
     const std::size_t count = planned.s.size();
     std::vector<double> &w = planned.speed;
+    const auto point = [&](std::size_t k) { return points.data() + 2 * k; };
     for (std::size_t k = 0; k < count; k++) {
         const std::size_t middle = std::min(std::max<std::size_t>(k, 1), count - 2);
-        const double *at = points.data() + 2 * middle;
-        w[k] = std::min(w[k] * w[k], lateral / std::max(curvature_of(at - 2, at, at + 2), 1e-9));
+        std::size_t before = middle - 1, after = middle + 1;
+        while (before > 0 && distance_of(point(before), point(middle)) < apart) before--;
+        while (after < count - 1 && distance_of(point(middle), point(after)) < apart) after++;
+        const double curvature = curvature_of(point(before), point(middle), point(after));
+        w[k] = std::min(w[k] * w[k], lateral / std::max(curvature, 1e-9));
     }
     if (parameters.stop_at_end) w.back() = 0.0;
     const auto gain = [&](std::size_t k) { return 2.0 * parameters.acceleration * (planned.s[k] - planned.s[k - 1]); };
@@ -176,6 +191,7 @@ const Command *Follower::tick(double now) {
         sample.t = now;
         sample.speed = why.empty() ? speed_ : braking_speed(now);
     }
+    sample_speed_ = sample.speed;
     adaptrack_answer answer{};
     error_ = adaptrack_step(tracker_.data(), &sample, &answer);
     if (error_ == ADAPTRACK_OK) {
@@ -226,11 +242,33 @@ void Follower::stop(std::string why) {
     command_.stopping = std::move(why);
 }
 
-// The speed that is planned where the car will be in one period.
+// The speed that is planned where the car will be in one period, and 0 from a stop on until another path comes.
+double Follower::target_speed(double station) {
+    const Planned &planned = paths_[followed_];
+    const double place = station + std::max(sample_speed_, 0.0) * period;
+    if (!std::isfinite(place)) return 0.0;
+    if (!(left_ - jump < station && station < next_ + jump)) {
+        left_ = station;
+        next_ = planned.stop_beyond(station - (stopping_ ? overshot : 0.0));
+        if (next_ > station + overshot) stopping_ = false;
+    }
+    if (place >= next_ || (sample_speed_ < standing && station >= next_ - at_stop)) {
+        stopping_ = true;
+        return 0.0;
+    }
+    return planned.speed_at(std::max(place, left_ + std::min(at_stop, 0.5 * (next_ - left_))));
+}
+
+// m, of the first stop between the ends of the path that lies beyond a place; infinite without one.
+double Follower::Planned::stop_beyond(double place) const {
+    for (std::size_t k = 1; k + 1 < s.size(); k++)
+        if (speed[k] == 0.0 && s[k] > place) return s[k];
+    return std::numeric_limits<double>::infinity();
+}
+
 void Follower::go() {
-    const double place = answer_->station + std::max(speed_, 0.0) * period;
     command_.angle = angle_;
-    command_.speed = std::isfinite(place) ? paths_[followed_].speed_at(place) : 0.0;
+    command_.speed = target_speed(answer_->station);
     command_.acceleration = parameters.acceleration;
     command_.stopping.clear();
 }

@@ -20,12 +20,15 @@ ASSUMED = "nobody says, so the slow end of published values"
 """The source of what neither the caller, nor the car file, nor a profile says."""
 TO_LEARN = "nobody says, so it is learned from the middle of published values"
 """The same of lag and dead time, for a controller that learns."""
-WITHIN_DEAD_TIME = "no profile says it: learned with the dead time"
-"""The same of a computation, in a loop of one's own."""
+AT_ONCE = "default"
+"""The source of a computation time that neither the caller nor a profile specifies: 0 s."""
+MOST_COMPUTATION = 1.0
+"""s, longest computation time that a controller takes."""
 UNKNOWN: Literal["unknown"] = "unknown"
 """As `belief`: neither the car's file nor the profile is to be believed about the steering."""
 _NAMES = {"lag": "s", "dead_time": "s", "computation": "s", "rate": "rad/s", "limit": "rad"}
-_SOURCES = {ASSUMED: kernel.ASSUMED, TO_LEARN: kernel.TO_LEARN, WITHIN_DEAD_TIME: kernel.WITH_DEAD_TIME}
+_STEERING = ("lag", "dead_time", "rate", "limit")
+_SOURCES = {ASSUMED: kernel.ASSUMED, TO_LEARN: kernel.TO_LEARN}
 
 
 def car_file(vehicle: Vehicle) -> str:
@@ -122,7 +125,7 @@ class Belief:
     def numbers(self) -> Any:
         """A row of `core.synthesis.belief.Belief`, whose sources say what is assumed."""
         row = row_of(kernel.Belief, **{name: getattr(self, name).value for name in _NAMES})
-        for name in _NAMES:
+        for name in _STEERING:
             row[f"{name}_source"] = _SOURCES.get(getattr(self, name).source, kernel.GIVEN)
         return row
 
@@ -145,12 +148,23 @@ GivenSteering = Steering | Literal["unknown"] | None
 """What a caller says of the steering: None leaves it to the car's file, and to the profile unless it is learned."""
 
 
-def believed(vehicle: Vehicle, given: GivenSteering, profile: Profile, period: float, named: bool) -> Belief:
+def assumed_computation(seconds: float | None, profile: Profile, period: float, named: bool) -> Said:
+    """Computation time (s) of a controller: the caller's, that of a named profile, or 0.
+
+    seconds: the caller's, None if not specified; period: control period (s); named: whether the caller named the
+    profile.
+    """
+    if seconds is not None:
+        return Said(float(seconds), "given")
+    return Said(profile.delay * period, f"profile {profile.name}") if named else Said(0.0, AT_ONCE)
+
+
+def believed(vehicle: Vehicle, given: GivenSteering, profile: Profile, computation: Said, named: bool) -> Belief:
     """The belief about a car's steering: each number from the first that says it, `ASSUMED` where nobody does.
 
-    given: by the caller, who comes first, then the car file, then the profile; `UNKNOWN`: nobody says anything; named:
-    whether the profile's actuator is believed: not where only its sensors are taken by default, nor by a controller
-    that learns, for which a profile is the simulated world.
+    given: by the caller, who comes first, then the car file, then the profile; `UNKNOWN`: nobody says anything;
+    computation: `assumed_computation`; named: whether the profile's actuator is believed: not where only its sensors
+    are taken by default, nor by a controller that learns, for which a profile is the simulated world.
 
     Raises
     ------
@@ -159,8 +173,8 @@ def believed(vehicle: Vehicle, given: GivenSteering, profile: Profile, period: f
     """
     given, car, actuator = known_steering(vehicle, given, profile, named)
     found = row_of(kernel.Belief)
-    kernel.believe_steering(given, car, actuator, profile.delay * period, found)
-    return belief_of(found, vehicle, profile)
+    kernel.believe_steering(given, car, actuator, computation.value, found)
+    return belief_of(found, vehicle, profile, computation)
 
 
 def known_steering(vehicle: Vehicle, given: GivenSteering, profile: Profile, named: bool) -> tuple[Any, Any, Any]:
@@ -183,13 +197,14 @@ def known_steering(vehicle: Vehicle, given: GivenSteering, profile: Profile, nam
     )  # fmt: skip
 
 
-def belief_of(row: Any, vehicle: Vehicle, profile: Profile, seconds: float = 0.0) -> Belief:
+def belief_of(row: Any, vehicle: Vehicle, profile: Profile, computation: Said, seconds: float = 0.0) -> Belief:
     """The belief of a row of `core.synthesis.belief.Belief`; seconds: for which an earlier drive has learned."""
     names = {
         kernel.GIVEN: "given", kernel.CAR_FILE: car_file(vehicle), kernel.PROFILE: f"profile {profile.name}",
         kernel.LEARNED: f"learned before, in {seconds:.0f} s", **{code: name for name, code in _SOURCES.items()},
     }  # fmt: skip
-    return Belief(**{name: Said(float(row[name]), names[int(row[f"{name}_source"])]) for name in _NAMES})
+    steering = {name: Said(float(row[name]), names[int(row[f"{name}_source"])]) for name in _STEERING}
+    return Belief(**steering, computation=computation)
 
 
 def limits_of(bounds: Any) -> Limits:

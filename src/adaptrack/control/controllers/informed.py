@@ -16,7 +16,9 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.belief import (
     Belief,
     GivenSteering,
+    Said,
     Uncertainty,
+    assumed_computation,
     belief_of,
     known_steering,
     limits_of,
@@ -99,7 +101,7 @@ class Parts(NamedTuple):
 
 def informed_parts(
     vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
-    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
+    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
 ) -> Parts:  # fmt: skip
     """The parts of an MPC that knows its car; arguments as for `MPC`, given: belief, uncertainty and learning.
 
@@ -108,7 +110,7 @@ def informed_parts(
     InvalidInput
         For arguments that make no controller.
     """
-    order, world, method = order_of(vehicle, profile, given, period, estimator, preview)
+    order, world, method, computation_time = order_of(vehicle, profile, given, period, estimator, preview, computation)
     car, step = vehicle, float(order.world.period)
     made = kernel.Parts.new(1)
     made["filter"] = (KalmanFilter() if estimator is None else estimator).numbers
@@ -118,7 +120,7 @@ def informed_parts(
     filtering = KalmanFilter.of(parts.filter)
     learner = Learner(method, car, filtering, parts.learner) if parts.learns else None
     seconds = 0.0 if method.start is None else method.start.seconds
-    belief = belief_of(parts.belief, car, world, seconds)
+    belief = belief_of(parts.belief, car, world, computation_time, seconds)
     learns = "" if learner is None else f": {_within(learner)}"
     return Parts(
         tuning=_tuning(parts.tuning),
@@ -134,9 +136,9 @@ def informed_parts(
 
 def order_of(
     vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
-    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
-) -> tuple[Any, Profile, Learning]:  # fmt: skip
-    """What is ordered of the kernels, a row of `core.synthesis.informed.Order`, for which profile, and how it learns.
+    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
+) -> tuple[Any, Profile, Learning, Said]:  # fmt: skip
+    """A row of `core.synthesis.informed.Order`, its profile, the method of learning, and the computation time (s).
 
     Arguments and errors are those of `informed_parts`.
     """
@@ -148,10 +150,13 @@ def order_of(
         _same_car(car, learning)
     method = UNASKED if learning is None or learning == AUTO else learning
     named = profile is not None and not isinstance(learning, Learning)
-    order = _order(car, world.numbers(step), known_steering(car, steering, world, named), uncertainty, method)
+    computation_time = assumed_computation(computation, world, step, named=profile is not None)
+    loop = world.numbers(step)
+    loop.computation = computation_time.value
+    order = _order(car, loop, known_steering(car, steering, world, named), uncertainty, method)
     order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
-    order.alone, order.filter_given = profile is None, estimator is not None
-    return order, world, method
+    order.filter_given = estimator is not None
+    return order, world, method, computation_time
 
 
 def _order(

@@ -18,12 +18,12 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Count, Hint, Positive, checked
+from adaptrack.base.checked import Count, Finite, Hint, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
-from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
+from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
@@ -155,7 +155,9 @@ class MPC(Controller):
     `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says and
     the controller does not learn; by default the period, preview and sensors of "road", and of its actuator nothing;
     belief: a `Steering` that is believed before the car's file, or "unknown": then neither file nor profile is
-    believed about the steering; `belief` of the controller says what it believes, and from whom.
+    believed about the steering; `belief` of the controller says what it believes, and from whom. computation: time from
+    a control instant until its command is sent, in addition to the dead time; by default that of the named profile,
+    without one 0.
 
     learning: "auto" learns the car while it drives where nobody says lag or dead time of the steering, a `Learning`
     always, None never: what nobody says is then taken from the slow end of published values, with R raised.
@@ -165,7 +167,7 @@ class MPC(Controller):
 
     period: control period; limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
-    "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
+    "active-set" (exact), "hildreth" (the paper's), or a `QPSolver`; what is
     done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: the model is never
     formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
 
@@ -193,6 +195,7 @@ class MPC(Controller):
         *,
         profile: str | Profile | None = None,
         belief: GivenSteering = None,
+        computation: Annotated[Finite, within(0.0, MOST_COMPUTATION), "s"] | None = None,
         uncertainty: Annotated[Uncertainty, Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
         learning: Annotated[Learning | Literal["auto"], Hint(_METHOD)] | None = AUTO,
         period: Annotated[Positive, "s"] | None = None,
@@ -209,12 +212,15 @@ class MPC(Controller):
     ) -> None:
         filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
         if model is None and isinstance(filtering, KalmanFilter | None):
-            parts = informed_parts(vehicle, profile, (belief, uncertainty, learning), period, filtering, preview)
+            parts = informed_parts(
+                vehicle, profile, (belief, uncertainty, learning), period, filtering, preview, computation
+            )
         else:
-            if not (profile is None and belief is None and uncertainty is None and learning in (None, AUTO)):
+            stated = not (profile is None and belief is None and uncertainty is None and learning in (None, AUTO))
+            if stated or computation:  # the other models count no computation, so 0 agrees with them
                 raise InvalidInput(
-                    "MPC: profile, belief and uncertainty, or learning, choose model and estimator: give those, or "
-                    "these."
+                    "MPC: profile, belief, computation, uncertainty and learning choose model and estimator: specify "
+                    "either those or model and estimator."
                 )
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
@@ -227,7 +233,7 @@ class MPC(Controller):
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
         if not isinstance(self.solver, QPSolver):
-            raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
+            raise InvalidInput(f"MPC: solver = {solver!r}: must be 'active-set', 'hildreth' or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))

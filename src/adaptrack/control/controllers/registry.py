@@ -102,7 +102,7 @@ def get_controller(
     """A new controller for a vehicle (or its name or file); ``options`` go to its factory.
 
     profile: what the controller runs on; goes to a factory that has an argument of this name; offered: likewise, what
-    else it may take, by name.
+    else it may take, by name; None is not passed on.
 
     Raises
     ------
@@ -114,7 +114,8 @@ def get_controller(
     if profile is not None and "profile" in taken:
         options["profile"] = profile
     anything = any(each.kind is each.VAR_KEYWORD for each in taken.values())
-    more = {key: value for key, value in (offered or {}).items() if key in taken or anything}
+    values = {key: value for key, value in (offered or {}).items() if value is not None}
+    more = {key: value for key, value in values.items() if key in taken or anything}
     return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **more, **options)
 
 

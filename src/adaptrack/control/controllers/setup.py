@@ -8,27 +8,32 @@ from typing import NamedTuple
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
-from adaptrack.control.controllers.belief import Belief, believed
+from adaptrack.control.controllers.belief import MOST_COMPUTATION, Belief, assumed_computation, believed
 from adaptrack.control.controllers.informed import UNNAMED
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.scenario.profile import Profile, load_profile
 
 
 def world_and_belief(
-    where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None, period: float | None
-) -> tuple[Profile, float, Belief]:
+    where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None, period: float | None,
+    computation: float | None = None,
+) -> tuple[Profile, float, Belief]:  # fmt: skip
     """The profile, the control period (s), and what is believed of the steering; arguments as for `MPC`.
 
     Raises
     ------
     InvalidInput
-        For a belief that is no `Steering`, or a period that is not positive and finite.
+        For a belief that is no `Steering`, or a period or computation time out of range.
     """
     car, world = vehicle, load_profile(UNNAMED if profile is None else profile)
     step = real(where, "period", world.period if period is None else period)
     if not 0.0 < step < math.inf:
         raise InvalidInput(f"{where}: period = {step!r} s: must be positive and finite.")
-    return world, step, believed(car, belief, world, step, named=profile is not None)
+    seconds = None if computation is None else real(where, "computation", computation)
+    if seconds is not None and not 0.0 <= seconds <= MOST_COMPUTATION:
+        raise InvalidInput(f"{where}: computation = {seconds!r} s: must be from 0 to {MOST_COMPUTATION:g}.")
+    computation_time = assumed_computation(seconds, world, step, named=profile is not None)
+    return world, step, believed(car, belief, world, computation_time, named=profile is not None)
 
 
 class LoopSetup(NamedTuple):
@@ -47,16 +52,16 @@ class LoopSetup(NamedTuple):
     @classmethod
     def of(
         cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
-        period: float | None, preview: bool | None, limits: Limits | None,
+        period: float | None, preview: bool | None, limits: Limits | None, computation: float | None = None,
     ) -> LoopSetup:  # fmt: skip
         """For the controller called `where` in messages; arguments as for `MPC`.
 
         Raises
         ------
         InvalidInput
-            For a belief that is no `Steering`, or a period that is not positive and finite.
+            For a belief that is no `Steering`, or a period or computation time out of range.
         """
-        world, step, known = world_and_belief(where, vehicle, profile, belief, period)
+        world, step, known = world_and_belief(where, vehicle, profile, belief, period, computation)
         return cls(
             belief=known,
             pose_age=world.pose_age if profile is not None else 0.0,

@@ -6,21 +6,36 @@ solution = get_qp_solver("active-set").solve(QP(E, K, M, gamma))
 solution.x, solution.status.sentence, solution.residuals
 """
 
-from adaptrack.control.qp.check import check_qp_solver
+from typing import Any
+
+from adaptrack.base.errors import UnknownName, did_you_mean
+from adaptrack.control.qp.active_set import ActiveSet
+from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Residuals, Solution, kkt_residuals
-from adaptrack.control.qp.registry import get_qp_solver, list_qp_solvers, register_qp_solver
 from adaptrack.control.qp.solver import QPSolver
+
+SOLVERS: dict[str, type[QPSolver]] = {ActiveSet.name: ActiveSet, Hildreth.name: Hildreth}
+
+
+def get_qp_solver(name: str = ActiveSet.name, **options: Any) -> QPSolver:
+    """Return a new solver, "active-set" or "hildreth"; ``options`` go to its class.
+
+    Raises `UnknownName`, with the nearest name.
+    """
+    if name not in SOLVERS:
+        raise UnknownName(f"There is no QP solver {name!r}. {did_you_mean(name, SOLVERS)}")
+    return SOLVERS[name](**options)
+
 
 __all__ = [
     "QP",
+    "ActiveSet",
     "Attempt",
+    "Hildreth",
     "QPSolver",
     "QPStatus",
     "Residuals",
     "Solution",
-    "check_qp_solver",
     "get_qp_solver",
     "kkt_residuals",
-    "list_qp_solvers",
-    "register_qp_solver",
 ]

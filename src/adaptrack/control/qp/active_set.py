@@ -20,7 +20,6 @@ class ActiveSet(QPSolver):
     """
 
     name: ClassVar[str] = EXACT
-    accuracy: ClassVar[float] = 1e-9
 
     def __init__(self, max_iterations: int | None = None) -> None:
         super().__init__(on_uncertified="hold")

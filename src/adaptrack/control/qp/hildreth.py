@@ -26,7 +26,6 @@ class Hildreth(QPSolver):
     """
 
     name: ClassVar[str] = "hildreth"
-    accuracy: ClassVar[float] = 1e-6
 
     @checked
     def __init__(

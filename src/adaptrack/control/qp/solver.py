@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import MissingExtra
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Residuals, Solution, kkt_residuals
 
@@ -19,7 +17,7 @@ NEAR = 1e-4
 """... and when a Newton step moves x by no more than this (rad): at cond(E) ~ 1e11 small residuals prove little."""
 
 EXACT = "active-set"
-"""The solver that finishes what others leave: `Workspace.solve_exactly` under its registered name."""
+"""The solver that finishes what others leave: `Workspace.solve_exactly` under its name."""
 
 OnUncertified = Literal["exact", "apply", "hold"]
 
@@ -27,9 +25,8 @@ OnUncertified = Literal["exact", "apply", "hold"]
 class QPSolver(ABC):
     """Solves one QP at a time.
 
-    A subclass names itself, states the accuracy of x[0] that it promises when E is ill-conditioned (cond(E) ~ 1e11;
-    rad) and implements `attempt`. `solve` tests what it found and acts on what is not certified. The contract, which
-    `adaptrack.control.qp.check_qp_solver` tests:
+    A subclass names itself and implements `attempt`. `solve` tests what it found and acts on what is not certified.
+    The contract:
 
     * `solve` returns a `Solution` for every QP; it raises nothing for infeasible, capped or non-finite problems;
     * it does not write to the problem's arrays;
@@ -47,7 +44,6 @@ class QPSolver(ABC):
     """
 
     name: ClassVar[str]
-    accuracy: ClassVar[float]
     on_uncertified: OnUncertified = "exact"
     finishes: int = 0
     """How many answers the exact method has finished so far."""
@@ -56,11 +52,6 @@ class QPSolver(ABC):
     @checked
     def __init__(self, on_uncertified: OnUncertified = "exact") -> None:
         self.on_uncertified = on_uncertified
-
-    @property
-    def _library(self) -> Any:
-        """The package behind a back-end of others: looked up anew, for a copy or a pickle cannot hold a module."""
-        return require(self.name, self.name)
 
     @abstractmethod
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
@@ -116,16 +107,6 @@ class QPSolver(ABC):
         )
 
 
-def require(package: str, solver: str) -> Any:
-    """Import the library behind a back-end, or say how to install it."""
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise MissingExtra(
-            f"The QP solver {solver!r} needs the package {package!r}: pip install 'adaptrack[solvers]'"
-        ) from error
-
-
 def newton_distance(qp: QP, x: Array, lam: Array) -> float:
     """How far a Newton step on the equations of the rows that press would move x: an estimate of its error (rad).
 
@@ -145,42 +126,3 @@ def newton_distance(qp: QP, x: Array, lam: Array) -> float:
     except np.linalg.LinAlgError:  # rows that depend on each other: the shortest of the possible steps
         step = scale * np.linalg.lstsq(kkt * scale[:, None] * scale[None, :], scale * right)[0]
     return float(np.abs(step[:n]).max())
-
-
-def is_finite(qp: QP) -> bool:
-    """Whether the data are usable: no NaN, no infinity except +inf in gamma."""
-    return bool(
-        np.isfinite(qp.E).all()
-        and np.isfinite(qp.K).all()
-        and np.isfinite(qp.M).all()
-        and (qp.gamma > -np.inf).all()  # false for NaN, too
-    )
-
-
-def is_convex(qp: QP) -> bool:
-    """Whether E has a Cholesky factor: checked before back-ends that would settle for a stationary point."""
-    try:
-        np.linalg.cholesky(qp.E)
-    except np.linalg.LinAlgError:
-        return False
-    return True
-
-
-def unfit_status(qp: QP) -> QPStatus | None:
-    """Why a problem is not given to a back-end that takes only finite, convex ones; None where it is."""
-    if not is_finite(qp):
-        return QPStatus.NON_FINITE
-    return None if is_convex(qp) else QPStatus.NOT_CONVEX
-
-
-def present_rows(qp: QP) -> tuple[np.ndarray, Array, Array]:
-    """Indices, M and gamma of the rows that have a bound."""
-    rows = np.flatnonzero(qp.gamma < np.inf)
-    return rows, np.ascontiguousarray(qp.M[rows]), np.ascontiguousarray(qp.gamma[rows])
-
-
-def all_multipliers(qp: QP, rows: np.ndarray, lam: Array) -> Array:
-    """Multipliers of all rows: those given, not below zero, and zero for absent rows."""
-    result = np.zeros(qp.m)
-    result[rows] = np.maximum(lam, 0.0)
-    return result

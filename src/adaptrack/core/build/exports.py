@@ -31,8 +31,8 @@ from .wasm_link import linked
 KERNELS = (
     # of a program: a whole call, and a path
     "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through",
-    # a controller alone
-    "mpc_step", "schedule_step",
+    # a controller alone, and the sizes of its arrays
+    "mpc_step", "mpc_sizes", "schedule_step",
     # members, whose addresses records hold
     "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
     # what tells whether a processor rounds as others do

@@ -11,6 +11,7 @@ from ..kernel import columns, exported, float64, inlined, int64, vector
 from ..maths.bits import whole
 from ..maths.exact import ceil
 from ..road import DEGREE, HALF, TURNED
+from ..speed_plan import last_at
 from .along import least_between, value_at
 
 PLAN = columns(
@@ -37,36 +38,50 @@ PLAN = columns(
 FINEST = 1e-3
 """m, between even places at least."""
 TOGETHER = 1e-6
-"""Share of the spacing within which two places are one, unless a stop is there."""
+"""Share of the spacing within which two places are one: the stop, if one of them is a stop."""
 
 
 @exported(int64(vector, float64, vector, vector))
 def plan_places(start, spacing, stops, places):
-    """Write ascending places (m) of a plan, as many as there is room for; the answer is how many there are.
+    """Write ascending places (m) of a plan, as many as there is room for, and return their count.
 
     start: m, where the pieces of the road begin, and its end; spacing: m, of the even places at most; stops: m,
-    ascending. 0: the length or the spacing is no number to make places of.
+    ascending. 0: the length or the spacing is no number to make places of. A car may stand at the ends and at stops:
+    between two of these there is always another place, at which it moves.
     """
     length = start[start.size - 1]
     if not (FINEST <= spacing < math.inf and 0.0 < length < math.inf):
         return 0
     cells = max(2, whole(ceil(length / spacing)))
-    step, before, count = length / cells, -math.inf, 0
+    step, before, count, stood = length / cells, -math.inf, 0, False
     i, j, k = 0, 0, 0
     while i <= cells or j < start.size or k < stops.size:
         even = math.inf if i > cells else (length if i == cells else i * step)
         shape = start[j] if j < start.size else math.inf
         stop = stops[k] if k < stops.size else math.inf
         place = min(even, min(shape, stop))
-        if count == 0 or place - before > TOGETHER * spacing or (stop == place and place > before):
-            if count < places.size:
-                places[count] = place
-            count += 1
-        before = place
+        stands = stop == place or count == 0 or place == length
+        is_new = place - before > TOGETHER * spacing
+        if is_new and stands and stood:
+            count = _append(0.5 * (before + place), count, places)
+        if is_new:
+            count = _append(place, count, places)
+        elif stands and not stood:  # the stop takes the place of the one beside it
+            count = _append(place, count - 1, places)
+        if is_new or (stands and not stood):
+            before, stood = place, stands
         i, j, k = i + (even == place), j + (shape == place), k + (stop == place)
     if count <= places.size:
         places[count - 1] = length
     return count
+
+
+@inlined
+def _append(place, count, places):
+    """Write a place behind the first `count` ones, if there is room for it, and return their count."""
+    if count < places.size:
+        places[count] = place
+    return count + 1
 
 
 @inlined
@@ -82,9 +97,15 @@ def _curvature_at(place, row, line):
 
 @inlined
 def write_cells(route, spacing, stops, table):
-    """Write the places and what the road says between them; any cornering, and any margins."""
+    """Write the places and what the road says between them; any cornering, and any margins.
+
+    Stops (m) are moved to the places at which the car stands.
+    """
     line, s, row = route.line, table[PLAN.s], 0
     plan_places(line.start, spacing, stops, s)
+    for i in range(stops.size):
+        k = min(last_at(stops[i], s), s.size - 2)
+        stops[i] = s[k] if stops[i] - s[k] < s[k + 1] - stops[i] else s[k + 1]
     for k in range(s.size - 1):
         here, there = s[k], s[k + 1]
         while row + 1 < len(line.pieces) and line.start[row + 1] <= here:

@@ -54,8 +54,9 @@ Planning = record(
     ),
 )  # fmt: skip
 """A plan to be made. car: `PLANT_PARAMETERS`, or empty: comfort and friction alone bound the acceleration; stops: m,
-ascending, and for how many seconds; held_at, held: (m,) squares of speeds, and (cells, m) m/s^2, the deceleration up to
-which the controller's margins hold at each, or both empty; table: (`PLAN`, places), written."""
+ascending, moved to places of the table by `plan_cells`; seconds: s, at each of them; held_at, held: (m,) squares of
+speeds, and (cells, m) m/s^2, the deceleration up to which the controller's margins hold at each, or both empty; table:
+(`PLAN`, places), written."""
 
 LIMIT = columns(
     "lateral", "grip", "curvature_rate", "speed_limit", "domain", "top_speed", "margins", "ends", "accelerate", "power",
@@ -73,8 +74,6 @@ UNLOADINGS = 6
 """Steps of Newton's method."""
 HALVINGS = 60
 """In the search for the speed that the power holds."""
-AT_STOP = 1e-9
-"""m, from a stop within which a place is where to stand."""
 ABOVE, AT_CEILING, ALL_OF_IT = 1e-9, 1e-6, 0.98
 """Shares: by which a speed may be above what is possible, by which a square is below its ceiling and still at it, and
 of an acceleration above which it is used up."""
@@ -241,7 +240,7 @@ def _write_ceiling(planning):
         before, named_before = after, named
     for i in range(planning.stops.size):
         for k in range(places):
-            if abs(table[PLAN.s, k] - planning.stops[i]) < AT_STOP:
+            if table[PLAN.s, k] == planning.stops[i]:
                 table[PLAN.ceiling, k], table[PLAN.named, k] = 0.0, LIMIT.ends
 
 

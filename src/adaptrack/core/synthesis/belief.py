@@ -9,9 +9,9 @@ from ..maths.exponential import hypot, log, power
 from .car import KnownWithin, Steering
 from .filter import Drifts
 
-GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED, WITH_DEAD_TIME = range(7)
+GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED = range(6)
 """Who says a number: the caller; the car's file; the profile; nobody, so the slow end of published values; nobody, so
-it is learned from the middle of these; an earlier drive; nobody, so it is learned with the dead time."""
+it is learned from the middle of these; an earlier drive."""
 Belief = record(
     "Belief",
     (
@@ -19,9 +19,9 @@ Belief = record(
         "computation",  # s, from a measurement until its command is given
         "rate",  # rad/s; inf: no limit
         "limit",  # rad
-        "lag_source", "dead_time_source", "computation_source", "rate_source", "limit_source",  # `GIVEN`, ...
+        "lag_source", "dead_time_source", "rate_source", "limit_source",  # `GIVEN`, ...
     ),
-    whole=("lag_source", "dead_time_source", "computation_source", "rate_source", "limit_source"),
+    whole=("lag_source", "dead_time_source", "rate_source", "limit_source"),
 )  # fmt: skip
 """The steering as a controller believes it."""
 Uncertainty = record("Uncertainty", ("lag", "dead_time", "stiffness", "mass"))
@@ -29,10 +29,11 @@ Uncertainty = record("Uncertainty", ("lag", "dead_time", "stiffness", "mass"))
 Bounds = record("Bounds", ("move", "ahead", "angle"))
 """rad: of the change of a command in a period, of the command ahead of the wheels, of the command; to either side."""
 
-MOST_STEERING_DELAY = 0.35
-"""s, lag and dead time together of a slow steering: with a control period of computation what opendbc lists for series
-cars, 0.1 to 0.4 s (`steerActuatorDelay`). It is believed where nobody says, because too short a delay loses the car and
-too long a one costs little."""
+MOST_STEERING_DELAY, PUBLISHED_COMPUTATION = 0.35, 0.05
+"""s, lag and dead time together of a slow steering, and the computation time in front of it: together the longest that
+opendbc lists for series cars, 0.1 to 0.4 s (`steerActuatorDelay`). Unknown steering parameters default to it, because a
+delay assumed too short loses the car and one too long costs little. A shorter computation time lengthens the dead time.
+"""
 LEAST_LAG = 0.05
 """s, believed at least where only the dead time is known."""
 LEAST_STEERING_RATE = 0.4
@@ -66,18 +67,19 @@ def believe_steering(given, car, actuator, computation, belief):
     given: by the caller; car: by the car's file; actuator: by the profile; computation: s. What is said of lag or dead
     time is taken off the other.
     """
+    transport = max(PUBLISHED_COMPUTATION - computation, 0.0)
     lag, belief.lag_source = _first(given.lag, car.lag, actuator.lag)
     dead, belief.dead_time_source = _first(given.dead_time, car.dead_time, actuator.dead_time)
     rate, belief.rate_source = _first(given.rate, car.rate, actuator.rate)
     limit, belief.limit_source = _first(given.limit, car.limit, actuator.limit)
     belief.lag, belief.dead_time = lag, dead
     if belief.lag_source == ASSUMED:
-        belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead), LEAST_LAG)
+        belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), LEAST_LAG)
     if belief.dead_time_source == ASSUMED:
-        belief.dead_time = 0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0)
+        belief.dead_time = transport + (0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0))
     belief.rate = LEAST_STEERING_RATE if belief.rate_source == ASSUMED else rate
     belief.limit = ANGLE if belief.limit_source == ASSUMED else limit
-    belief.computation, belief.computation_source = computation, PROFILE
+    belief.computation = computation
 
 
 @inlined

@@ -18,7 +18,6 @@ from .belief import (
     MOST_MASS,
     MOST_STIFFNESS,
     TO_LEARN,
-    WITH_DEAD_TIME,
     Belief,
     Bounds,
     Uncertainty,
@@ -55,12 +54,11 @@ Order = record(
         ("world", World),
         ("unsure", Uncertainty), "unsure_given",  # 1: the caller says it
         "learning",  # `NEVER`, ...
-        "alone",  # 1: no profile says the computation
         "filter_given",  # 1: the filter is the caller's, 0: it is made of `world`
         "longest_horizon", "most_moves",  # Np and Nc at most
         ("method", Method), ("start", Start),
     ),
-    whole=("unsure_given", "learning", "alone", "filter_given", "longest_horizon", "most_moves"),
+    whole=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
 )  # fmt: skip
 """What is known of a car and its loop, and what is wanted."""
 Parts = record(
@@ -125,11 +123,9 @@ def _know(order, parts):
 
 
 @inlined
-def _doubt(order, parts):
-    """Let a delay that nobody says never be certain, and hold the computation where no profile says that."""
+def _doubt(parts):
+    """Widen the uncertainty of an unknown lag or dead time that is declared certain."""
     belief, unsure = parts.belief, parts.unsure
-    if order.alone > 0 and belief.dead_time_source == ASSUMED:
-        belief.computation, belief.computation_source = 0.0, WITH_DEAD_TIME
     if belief.lag_source == ASSUMED and unsure.lag == 0.0:
         unsure.lag = UNKNOWN_CAR.lag
     if belief.dead_time_source == ASSUMED and unsure.dead_time == 0.0:
@@ -148,7 +144,7 @@ def _begin(source, lag_or_dead_time_is_learned):
 def _learn(order, parts):
     """Of a controller that learns its car."""
     belief, own, sensing, world = parts.belief, parts.learner, parts.filter, order.world
-    _doubt(order, parts)
+    _doubt(parts)
     begin_learner(
         order.method, order.start, order.car, order.within, belief, parts.unsure, order.unsure_given, sensing,
         world.period, own,

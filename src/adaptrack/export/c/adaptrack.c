@@ -132,6 +132,28 @@ size_t adaptrack_size(const void *constants, size_t size) { return adaptrack_blo
 
 const char *adaptrack_version(void) { return ADAPTRACK_VERSION; }
 
+#define NAME(error) \
+    case error: return #error
+const char *adaptrack_error_name(adaptrack_error error) {
+    switch (error) {
+        NAME(ADAPTRACK_OK);
+        NAME(ADAPTRACK_BAD_ARGUMENT);
+        NAME(ADAPTRACK_TOO_SMALL);
+        NAME(ADAPTRACK_NOT_READY);
+        NAME(ADAPTRACK_BUSY);
+        NAME(ADAPTRACK_DAMAGED);
+        NAME(ADAPTRACK_OTHER_VERSION);
+        NAME(ADAPTRACK_OTHER_KIND);
+        NAME(ADAPTRACK_OTHER_SIZES);
+        NAME(ADAPTRACK_OTHER_CONSTANTS);
+        NAME(ADAPTRACK_OTHER_PATH);
+        NAME(ADAPTRACK_ARITHMETIC);
+        NAME(ADAPTRACK_BAD_PATH);
+        NAME(ADAPTRACK_OUT_OF_ORDER);
+    }
+    return "an unknown error";
+}
+
 adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size) {
     return adaptrack_block_lay(&adaptrack_parts, tracker, tracker_size, constants, size);
 }

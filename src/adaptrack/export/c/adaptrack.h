@@ -3,11 +3,12 @@
    SI units, angles in rad; axes and signs are those of ISO 8855: x forward, y left, yaw and steering positive to the
    left. A number that is not known is NaN. A tracker is memory of the caller, one for each car; nothing else is
    written, allocated or read. Calls on different trackers may run at the same time; a second one on the same tracker
-   answers ADAPTRACK_BUSY. Arithmetic must round to nearest and have subnormal numbers, as processors begin;
-   -ffast-math on the program that links this may switch them off, which is answered by ADAPTRACK_ARITHMETIC. */
+   answers ADAPTRACK_BUSY. Arithmetic must round to nearest and have subnormal numbers, as processors begin. A file that
+   includes this header does not compile with -Ofast or -ffast-math. A program linked with them may switch subnormal
+   numbers off: adaptrack_init, _path, _engage, _follow and _step then return ADAPTRACK_ARITHMETIC. */
 #ifndef ADAPTRACK_H
 #define ADAPTRACK_H
-#include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _VERSION, the constants */
+#include "adaptrack_config.h" /* ADAPTRACK_SIZE, _STATE_SIZE (bytes), _PERIOD (s), _MOST_POINTS, _VERSION, constants */
 #include "adaptrack_error.h"
 
 #include <math.h>
@@ -48,17 +49,21 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
 
 /* -- a path ------------------------------------------------------------------------------------------------------- */
 /* Bytes of memory for a path through points x, y (m), one behind the other: points[0], points[1] are the first.
-   0 where they make none. */
+   0 for fewer than four points, or more than ADAPTRACK_MOST_POINTS (100,000). */
 size_t adaptrack_path_size(const double *points, size_t count, int closed);
 /* Make a path through points without noise, in memory of the caller that is aligned to 8 bytes: a cubic spline, its
-   curvature continuous; a lap if `closed`. ADAPTRACK_TOO_SMALL, or ADAPTRACK_BAD_PATH for fewer than four points, one
-   that comes twice in a row, is not finite or makes a kink; `flaw`, unless null, is then the number of the point. */
+   curvature continuous; a lap if `closed`. Points in a row count as one, the first, if their distance is at most a
+   tenth of the step on either side and 0.2 m: such a step would turn the path by the error of its points.
+   ADAPTRACK_TOO_SMALL for the memory. ADAPTRACK_BAD_PATH for fewer than four points, for more than
+   ADAPTRACK_MOST_POINTS (100,000; `flaw` is then their count), and for a point that is not finite or makes a kink;
+   `flaw`, unless null, is then the number of the point. */
 adaptrack_error adaptrack_path(const double *points, size_t count, int closed, void *path, size_t path_size,
                                size_t *flaw);
 /* m */
 double adaptrack_path_length(const void *path);
 
-/* A planned speed along a path: s (m) from 0 upwards to its length, speed (m/s). Arrays of the caller. */
+/* A planned speed along a path: s (m) from 0 upwards to its length, speed (m/s). Arrays of the caller.
+   ADAPTRACK_BAD_ARGUMENT for more than ADAPTRACK_MOST_POINTS. */
 typedef struct {
     const double *s;
     const double *speed;
@@ -129,6 +134,8 @@ adaptrack_error adaptrack_restore(void *tracker, const void *state, size_t size)
 
 /* "0.3.0 kernels 0123456789abcdef": constants and states need the same kernels. */
 const char *adaptrack_version(void);
+/* The name of an error, such as "ADAPTRACK_DAMAGED". */
+const char *adaptrack_error_name(adaptrack_error error);
 
 #ifdef __cplusplus
 }

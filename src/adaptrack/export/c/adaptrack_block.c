@@ -46,20 +46,13 @@ uint32_t adaptrack_crc32(const void *bytes, size_t size) {
 }
 
 /* -- what a block says -------------------------------------------------------------------------------------------- */
-typedef struct {
-    uint64_t kernels;
-    uint32_t size, kind, layout, words, record, renewed, kept;
-    uint32_t places, links, starts, runs, resets; /* how many */
-    const unsigned char *place, *link, *start, *run, *reset, *data;
-} block;
-
-static uint64_t tables(const block *b) {
+static uint64_t tables(const adaptrack_block *b) {
     uint64_t bytes = 8u * ((uint64_t)b->places + b->links + b->runs) + 12u * (uint64_t)b->starts;
     return bytes + (8u - bytes % 8u) % 8u;
 }
 
 /* Read the numbers and find the tables; ADAPTRACK_DAMAGED where they do not fit. */
-static adaptrack_error read_block(const unsigned char *p, size_t size, block *b) {
+static adaptrack_error read_block(const unsigned char *p, size_t size, adaptrack_block *b) {
     uint32_t counts[12];
     uint64_t bytes, behind;
     b->kernels = eight(p + PRELUDE);
@@ -94,7 +87,7 @@ static const adaptrack_function *function_of(const adaptrack_reader *reader, uin
 }
 
 /* Every index within its bounds, every function at hand. */
-static adaptrack_error check_tables(const adaptrack_reader *reader, const block *b) {
+static adaptrack_error check_tables(const adaptrack_reader *reader, const adaptrack_block *b) {
     for (uint32_t i = 0; i < b->places; i++)
         if (four(b->place + 8u * i) >= b->record || four(b->place + 8u * i + 4u) >= b->words) return ADAPTRACK_DAMAGED;
     for (uint32_t i = 0; i < b->starts; i++) {
@@ -112,7 +105,7 @@ static adaptrack_error check_tables(const adaptrack_reader *reader, const block 
     return ADAPTRACK_OK;
 }
 
-static adaptrack_error prove(const adaptrack_reader *reader, const void *constants, size_t size, block *b) {
+static adaptrack_error prove(const adaptrack_reader *reader, const void *constants, size_t size, adaptrack_block *b) {
     const unsigned char *p = (const unsigned char *)constants;
     adaptrack_error status;
     if (!reader || !p) return ADAPTRACK_BAD_ARGUMENT;
@@ -124,20 +117,43 @@ static adaptrack_error prove(const adaptrack_reader *reader, const void *constan
     if (status != ADAPTRACK_OK) return status;
     if (b->kernels != reader->kernels) return ADAPTRACK_OTHER_VERSION;
     if (b->kind != reader->kind) return ADAPTRACK_OTHER_KIND;
-    return check_tables(reader, b);
+    status = check_tables(reader, b);
+    return status == ADAPTRACK_OK && reader->check ? reader->check(b) : status;
 }
 
+uint32_t adaptrack_block_number(const unsigned char *table, size_t i) { return four(table + 4u * i); }
+
 adaptrack_error adaptrack_block_check(const adaptrack_reader *reader, const void *constants, size_t size) {
-    block b;
+    adaptrack_block b;
     return prove(reader, constants, size, &b);
 }
 
 size_t adaptrack_block_memory(const void *constants, size_t size) {
-    block b;
+    adaptrack_block b;
     const unsigned char *p = (const unsigned char *)constants;
     if (!p || size < PRELUDE + HEADER || !same(p, MAGIC, sizeof MAGIC)) return 0;
     if (read_block(p, size, &b) != ADAPTRACK_OK) return 0;
     return sizeof(adaptrack_head) + 8u * (size_t)b.words;
+}
+
+/* -- the words of a block ----------------------------------------------------------------------------------------- */
+static void next_run(adaptrack_cursor *r) {
+    r->data += 8u * (size_t)(r->end - r->begin);
+    r->begin = r->run < r->b->runs ? four(r->b->run + 8u * r->run) : r->b->words;
+    r->end = r->run < r->b->runs ? r->begin + four(r->b->run + 8u * r->run + 4u) : r->b->words;
+    r->run++;
+}
+
+adaptrack_cursor adaptrack_block_from(const adaptrack_block *b, uint32_t first) {
+    adaptrack_cursor r = {b, b->data, 0, 0, 0, first};
+    next_run(&r);
+    return r;
+}
+
+uint64_t adaptrack_block_next(adaptrack_cursor *r) {
+    uint32_t i = r->at++;
+    while (i >= r->end && r->begin < r->b->words) next_run(r);
+    return i >= r->begin && i < r->end && r->begin < r->b->words ? eight(r->data + 8u * (size_t)(i - r->begin)) : 0;
 }
 
 /* -- the memory --------------------------------------------------------------------------------------------------- */
@@ -149,48 +165,22 @@ static int is_ready(const void *memory) {
     return memory && (uintptr_t)memory % 8u == 0 && ((const adaptrack_head *)memory)->mark == MARK;
 }
 
-/* The words of a block, one after the other. */
-typedef struct {
-    const block *b;
-    const unsigned char *data;
-    uint32_t run, begin, end, at;
-} cursor;
-
-static void next_run(cursor *r) {
-    r->data += 8u * (size_t)(r->end - r->begin);
-    r->begin = r->run < r->b->runs ? four(r->b->run + 8u * r->run) : r->b->words;
-    r->end = r->run < r->b->runs ? r->begin + four(r->b->run + 8u * r->run + 4u) : r->b->words;
-    r->run++;
-}
-
-static cursor read_from(const block *b, uint32_t first) {
-    cursor r = {b, b->data, 0, 0, 0, first};
-    next_run(&r);
-    return r;
-}
-
-static uint64_t next_word(cursor *r) {
-    uint32_t i = r->at++;
-    while (i >= r->end && r->begin < r->b->words) next_run(r);
-    return i >= r->begin && i < r->end && r->begin < r->b->words ? eight(r->data + 8u * (size_t)(i - r->begin)) : 0;
-}
-
 /* Write the words from `first` to before `last` as the block has them. */
-static void fill(const block *b, uint64_t *words, uint32_t first, uint32_t last) {
-    cursor r = read_from(b, first);
-    for (uint32_t i = first; i < last; i++) words[i] = next_word(&r);
+static void fill(const adaptrack_block *b, uint64_t *words, uint32_t first, uint32_t last) {
+    adaptrack_cursor r = adaptrack_block_from(b, first);
+    for (uint32_t i = first; i < last; i++) words[i] = adaptrack_block_next(&r);
 }
 
 /* Whether they are so. */
-static int is_as_in(const block *b, const uint64_t *words, uint32_t first, uint32_t last) {
-    cursor r = read_from(b, first);
+static int is_as_in(const adaptrack_block *b, const uint64_t *words, uint32_t first, uint32_t last) {
+    adaptrack_cursor r = adaptrack_block_from(b, first);
     for (uint32_t i = first; i < last; i++)
-        if (words[i] != next_word(&r)) return 0;
+        if (words[i] != adaptrack_block_next(&r)) return 0;
     return 1;
 }
 
 /* Write the addresses of arrays and functions into the record. */
-static void connect(const adaptrack_reader *reader, const block *b, uint64_t *words) {
+static void connect(const adaptrack_reader *reader, const adaptrack_block *b, uint64_t *words) {
     for (uint32_t i = 0; i < b->places; i++)
         words[four(b->place + 8u * i)] = (uint64_t)(uintptr_t)(words + four(b->place + 8u * i + 4u));
     for (uint32_t i = 0; i < b->links; i++) {
@@ -201,7 +191,7 @@ static void connect(const adaptrack_reader *reader, const block *b, uint64_t *wo
 
 adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory, size_t memory_size,
                                      const void *constants, size_t size) {
-    block b;
+    adaptrack_block b;
     adaptrack_head *head = (adaptrack_head *)memory;
     adaptrack_error status;
     if (!memory || (uintptr_t)memory % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
@@ -221,7 +211,7 @@ adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory
 
 adaptrack_error adaptrack_block_renew(const adaptrack_reader *reader, void *memory, const void *constants,
                                        size_t size) {
-    block b;
+    adaptrack_block b;
     adaptrack_head *head = (adaptrack_head *)memory;
     adaptrack_error status;
     uint64_t *words;

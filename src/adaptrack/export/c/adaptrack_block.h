@@ -19,12 +19,28 @@ typedef struct {
     void (*function)(void);
 } adaptrack_function;
 
+/* A block whose tables lie within it. */
+typedef struct {
+    uint64_t kernels;
+    uint32_t size, kind, layout, words, record, renewed, kept;
+    uint32_t places, links, starts, runs, resets; /* how many */
+    const unsigned char *place, *link, *start, *run, *reset, *data;
+} adaptrack_block;
+
+/* A place among its words. */
+typedef struct {
+    const adaptrack_block *b;
+    const unsigned char *data;
+    uint32_t run, begin, end, at;
+} adaptrack_cursor;
+
 /* What a reader takes. */
 typedef struct {
     uint64_t kernels; /* hash of the kernels */
     uint32_t kind;    /* CRC-32 of the record's name */
     const adaptrack_function *functions;
-    size_t count; /* of them */
+    size_t count;                                      /* of them */
+    adaptrack_error (*check)(const adaptrack_block *); /* of sizes, counts and numbers of this kind; null: none */
 } adaptrack_reader;
 
 typedef struct {
@@ -62,6 +78,11 @@ adaptrack_error adaptrack_block_take(void *memory);
 void adaptrack_block_give(void *memory);
 /* The record at the beginning of the words. */
 void *adaptrack_block_record(void *memory);
+/* The words of the memory as a block has them, one after the other. */
+adaptrack_cursor adaptrack_block_from(const adaptrack_block *, uint32_t first);
+uint64_t adaptrack_block_next(adaptrack_cursor *);
+/* Number i of a table of a block. */
+uint32_t adaptrack_block_number(const unsigned char *table, size_t i);
 /* CRC-32 (IEEE 802.3) of some bytes. */
 uint32_t adaptrack_crc32(const void *bytes, size_t size);
 

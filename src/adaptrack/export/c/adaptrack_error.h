@@ -2,6 +2,12 @@
 #ifndef ADAPTRACK_ERROR_H
 #define ADAPTRACK_ERROR_H
 
+/* GCC and Clang; MSVC with /fp:fast */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0) || defined(_M_FP_FAST)
+#error "adaptrack: compile this file and link your program without -Ofast, -ffast-math or -ffinite-math-only (MSVC: \
+/fp:fast). They drop NaN, which stands for an unknown number, and make subnormal numbers zero (ADAPTRACK_ARITHMETIC)."
+#endif
+
 /* Values stay; a minor version may add some. */
 typedef enum {
     ADAPTRACK_OK = 0,
@@ -9,7 +15,8 @@ typedef enum {
     ADAPTRACK_TOO_SMALL = 2,       /* the memory */
     ADAPTRACK_NOT_READY = 3,       /* the memory has not been initialised, or was overwritten */
     ADAPTRACK_BUSY = 4,            /* another thread, or an interrupted call, is in a step of this memory */
-    ADAPTRACK_DAMAGED = 5,         /* the block or the saved state is cut short, or a byte of it is another */
+    ADAPTRACK_DAMAGED = 5,         /* the block or the saved state is cut short, a byte of it is another, or a size,
+                                      count or number of the block is out of bounds */
     ADAPTRACK_OTHER_VERSION = 6,   /* the format, or the kernels, are of another version of adaptrack */
     ADAPTRACK_OTHER_KIND = 7,      /* constants of another kind of controller, or of functions not linked in */
     ADAPTRACK_OTHER_SIZES = 8,     /* constants of other horizons or parts: adaptrack_init takes them */

@@ -18,11 +18,12 @@ static uint32_t crc32_of(const unsigned char *bytes, size_t size) {
 }
 
 static uint32_t fingerprint(const adaptrack_answer *answer) {
-    double numbers[5];
+    double numbers[8];
     unsigned char bytes[sizeof numbers];
     numbers[0] = answer->command, numbers[1] = (double)answer->status, numbers[2] = answer->offset;
-    numbers[3] = answer->heading_error, numbers[4] = answer->station;
-    for (int i = 0; i < 5; i++) {
+    numbers[3] = answer->heading_error, numbers[4] = answer->station, numbers[5] = (double)answer->belief;
+    numbers[6] = (double)answer->at_bound, numbers[7] = (double)answer->suspect;
+    for (int i = 0; i < 8; i++) {
         uint64_t bits = 0x7ff8000000000000u; /* any NaN */
         if (numbers[i] == numbers[i]) memcpy(&bits, numbers + i, sizeof bits);
         for (int k = 0; k < 8; k++) bytes[8 * i + k] = (unsigned char)(bits >> (8 * k) & 0xffu);
@@ -30,35 +31,32 @@ static uint32_t fingerprint(const adaptrack_answer *answer) {
     return crc32_of(bytes, sizeof bytes);
 }
 
-static adaptrack_sample sample_of(const uint64_t *row) {
-    double numbers[10];
-    adaptrack_sample sample = ADAPTRACK_UNKNOWN;
-    memcpy(numbers, row, sizeof numbers);
-    sample.t = numbers[0], sample.now = numbers[1], sample.x = numbers[2], sample.y = numbers[3];
-    sample.yaw = numbers[4], sample.speed = numbers[5], sample.yaw_rate = numbers[6];
-    sample.lateral_velocity = numbers[7], sample.lateral_acceleration = numbers[8], sample.wheel_angle = numbers[9];
-    return sample;
-}
+/* Drive the recorded minute under some constants, and count the calls that differ; the last answer. */
+adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, adaptrack_answer *answer);
 
-int main(void) {
-    adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
-    adaptrack_answer answer;
-    adaptrack_error error;
-    int differ = 0;
-
-    error = adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE);
+adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, adaptrack_answer *answer) {
+    const adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
+    adaptrack_error error = adaptrack_init(&tracker, sizeof tracker, constants, size);
+    *differ = 0;
     if (error == ADAPTRACK_OK)
-        error = adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, ADAPTRACK_RECORDED_CLOSED, path,
-                               sizeof path, 0);
+        error = adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path, sizeof path, 0);
     if (error == ADAPTRACK_OK) error = adaptrack_engage(&tracker, 0.0, NAN);
     if (error == ADAPTRACK_OK) error = adaptrack_follow(&tracker, path, NAN, &plan);
     for (int k = 0; k < ADAPTRACK_RECORDED_STEPS && error == ADAPTRACK_OK; k++) {
-        adaptrack_sample sample = sample_of(adaptrack_recorded[k]);
-        error = adaptrack_step(&tracker, &sample, &answer);
-        if (error == ADAPTRACK_OK && fingerprint(&answer) != (uint32_t)adaptrack_recorded[k][10]) differ++;
+        adaptrack_sample sample;
+        memcpy(&sample, adaptrack_recorded[k], sizeof sample);
+        error = adaptrack_step(&tracker, &sample, answer);
+        if (error == ADAPTRACK_OK && fingerprint(answer) != (uint32_t)adaptrack_recorded[k][12]) ++*differ;
     }
+    return error;
+}
+
+int main(void) {
+    adaptrack_answer answer;
+    int differ;
+    adaptrack_error error = drive_recorded(adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE, &differ, &answer);
     if (error != ADAPTRACK_OK) {
-        printf("error %d\n", (int)error);
+        printf("%s, error %d of adaptrack_error.h\n", adaptrack_error_name(error), (int)error);
         return 2;
     }
     printf("adaptrack %s\n%d steps, %d differ; the last: command %+.6f rad, offset %+.4f m, at %.1f m\n",

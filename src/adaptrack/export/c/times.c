@@ -1,5 +1,5 @@
-/* Times steps of the recorded minute, over and over, in processor time: p50, p99, the worst; and the worst of the
-   minute's steps where each counts with the least of its repeats, as on a processor that does nothing else. POSIX;
+/* Times steps of the recorded drive, over and over, in processor time: p50, p99, the worst; and the worst of the
+   drive's steps where each counts with the least of its repeats, as on a processor that does nothing else. POSIX;
    usage: times [STEPS] */
 #define _POSIX_C_SOURCE 199309L
 #include "adaptrack.h"
@@ -33,33 +33,26 @@ int main(int count, char **words) {
     double begun, mean = 0.0;
     if (!times || steps < 100) return 1;
     begun = now();
-    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, ADAPTRACK_RECORDED_CLOSED, path,
-                       sizeof path, 0) != ADAPTRACK_OK) return 1;
+    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path, sizeof path, 0) != ADAPTRACK_OK) return 1;
     printf("a path through %d points: %.0f us, %d kB\n", ADAPTRACK_RECORDED_POINTS, 1e6 * (now() - begun),
            (int)(sizeof path / 1000));
     if (adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE) != ADAPTRACK_OK)
         return 1;
     for (long i = 0; i < steps; i++) {
-        const uint64_t *row = adaptrack_recorded[i % ADAPTRACK_RECORDED_STEPS];
-        adaptrack_sample sample = ADAPTRACK_UNKNOWN;
-        double numbers[10];
-        if (i % ADAPTRACK_RECORDED_STEPS == 0) {
+        adaptrack_sample sample;
+        if (i % ADAPTRACK_RECORDED_DRIVEN == 0) {
             if (adaptrack_engage(&tracker, 0.0, NAN) != ADAPTRACK_OK) return 1;
             if (adaptrack_follow(&tracker, path, NAN, &plan) != ADAPTRACK_OK) return 1;
         }
-        memcpy(numbers, row, sizeof numbers);
-        sample.t = numbers[0], sample.now = numbers[1], sample.x = numbers[2], sample.y = numbers[3];
-        sample.yaw = numbers[4], sample.speed = numbers[5], sample.yaw_rate = numbers[6];
-        sample.lateral_velocity = numbers[7], sample.lateral_acceleration = numbers[8];
-        sample.wheel_angle = numbers[9];
+        memcpy(&sample, adaptrack_recorded[i % ADAPTRACK_RECORDED_DRIVEN], sizeof sample);
         begun = now();
         if (adaptrack_step(&tracker, &sample, &answer) != ADAPTRACK_OK) return 1;
         times[i] = (float)(now() - begun);
         mean += times[i] / (double)steps;
     }
-    for (int k = 0; k < ADAPTRACK_RECORDED_STEPS; k++) {
+    for (int k = 0; k < ADAPTRACK_RECORDED_DRIVEN; k++) {
         float least = 1.0f;
-        for (long i = k; i < steps; i += ADAPTRACK_RECORDED_STEPS)
+        for (long i = k; i < steps; i += ADAPTRACK_RECORDED_DRIVEN)
             if (times[i] < least) least = times[i];
         if (least < 1.0f && least > undisturbed) undisturbed = least;
     }

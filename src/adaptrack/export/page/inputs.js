@@ -328,12 +328,11 @@ const inputs = (() => {
     const answers = given.answers.path_through, rules = given.points;
     const at = road.lines?.[place] === undefined ? `point ${place + 1}` : `line ${road.lines[place]}`;
     const sentences = {
-      TOO_FEW: `${road.count} points: a road needs at least ${rules.fewest}.`,
+      TOO_FEW: `${place} points apart from each other: a road needs at least ${rules.fewest}.`,
       NOT_FINITE: `${at}: x or y is not a finite number; correct or remove the point.`,
       TOO_FAR:
         `${at}: lies more than ${rules.widest} m from the next point, or ${rules.farthest} m from the origin; ` +
         "correct it, or leave it out.",
-      TWICE: `${at}: the point comes twice; leave one out.`,
       TOO_SHORT: "The points are too near one another: are x and y in metres?",
       KINK:
         `${at}: the points fold back on themselves behind it, no smooth road goes through them; ` +

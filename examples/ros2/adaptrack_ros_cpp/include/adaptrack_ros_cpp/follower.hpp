@@ -80,6 +80,7 @@ class Follower {
         std::vector<double> s, speed; // m, m/s
         adaptrack_plan plan() const { return {s.data(), speed.data(), s.size()}; }
         double speed_at(double place) const;
+        double stop_beyond(double place) const;
     };
 
     std::string why_not(Planned &planned, const std::vector<double> &points, const std::vector<double> &speeds) const;
@@ -88,12 +89,15 @@ class Follower {
     std::string why_stopped() const;
     double braking_speed(double now);
     void stop(std::string why);
+    double target_speed(double station);
     void go();
 
     std::vector<std::uint64_t> tracker_;
     std::array<Planned, 2> paths_; // the one that is followed, and the next one
     std::size_t followed_ = 0;
-    bool has_path_ = false, halted_ = false, engaged_ = true;
+    bool has_path_ = false, halted_ = false, engaged_ = true, stopping_ = false;
+    double sample_speed_ = 0.0;      // m/s, of the last call
+    double left_ = 0.0, next_ = 0.0; // m, where it began to drive along the path, and its next stop; NaN: a new path
     std::vector<double> points_, speeds_;
     std::string path_frame_, odometry_frame_, path_trouble_, odometry_trouble_;
     std::optional<Sample> fresh_;

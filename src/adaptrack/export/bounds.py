@@ -1,0 +1,258 @@
+"""Bounds of the sizes, counts and numbers of an exported controller, as tables for `c/adaptrack_bounds.c`."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from adaptrack.core import functions, guard, schedule
+from adaptrack.core.controllers import lqr, mpc
+from adaptrack.core.controllers.constraints import ROWS
+from adaptrack.core.controllers.feed_forward import Turning
+from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.input_check.record import Settings as CheckSettings
+from adaptrack.core.kernel import Number, int64, size_of
+from adaptrack.core.layout import arrays_of
+from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.tracker.records import MEMORY, SETTINGS, Tracking
+from adaptrack.core.variables import VARIABLES
+from adaptrack.export.block import ArrayLayout, Block, Role
+
+LONGEST_LAG = 10
+"""s, of a steering in constants."""
+_FLAG, _PLACE = (0, 1), (0, 2**31 - 1)
+NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
+    "laguerre": _FLAG, "preview": _FLAG, "informed": _FLAG, "curved": (1, 1), "feeds_forward": _FLAG, "learns": _FLAG,
+    "residuals": _FLAG, "terms": (1, 1000), "longest_horizon": (1, 1000), "most_moves": (1, 1000), "solver": (0, 3),
+    "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-4, 10.0), "delay": (0.0, 1000.0),
+    "speed_floor": (0.01, 100.0), "late": (0, 1000), "filtered": _FLAG,
+    "n_inputs": (0, len(VARIABLES)), "n_entries": (0, guard.MOST_ENTRIES), "of_mpc": _FLAG,
+    "place": (0, len(VARIABLES) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
+    "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
+}  # fmt: skip
+"""Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
+STEERING_TIMES = ("computation", "lag", "least_lag", "most_lag", "least_dead_time", "most_dead_time")
+"""Numbers of a learner that are times (s) of the steering."""
+_WITH_NAN = ("step.mpc.informed.fresh", "scheduling.schedule.numbers")
+"""Arrays of numbers that may be NaN: samples that were missing, cells of a map without a margin."""
+_OPEN = ("step.", "scheduling.")
+"""Arrays whose sizes follow from numbers: the C source checks them against those."""
+_CLOSED = ("step.now", "step.reference", "step.tuning", "scheduling.schedule.settings", "scheduling.variables",
+           "scheduling.first")  # fmt: skip
+ARRAY_PLACES = {
+    "settings": "tracker.settings", "schedule": "scheduling.schedule.settings", "counts": "scheduling.schedule.memory",
+    "integers": "scheduling.schedule.integers", "numbers": "scheduling.schedule.numbers",
+    "scratch": "scheduling.schedule.scratch", "first": "scheduling.first",
+}  # fmt: skip
+"""Arrays that the C source asks for, by the names that it has for them."""
+MPC_PLACES = {
+    "mpc": "step.mpc.model.a", "tuning": "step.tuning", "states": "step.mpc.states",
+    "parameters": "step.mpc.parameters", "turning": "step.mpc.feed.turning",
+    "estimator": "step.mpc.informed.estimator",
+    "estimates": "step.mpc.informed.estimates", "learner": "step.mpc.informed.learner",
+    "fresh": "step.mpc.informed.fresh", "learned": "step.mpc.informed.learned", "memory": "step.mpc.memory",
+    "moves": "step.mpc.ws.moves", "rows": "step.mpc.ws.rows",
+}  # fmt: skip
+LAW_PLACES = {"tuning": "tuning"}
+
+
+def _place(kind: Any, *names: str) -> int:
+    """The word of a field in a row of a record of numbers."""
+    at, dtype = 0, kind.dtype
+    for name in names:
+        dtype, offset = dtype.fields[name][:2]
+        at += offset
+    return at // 8
+
+
+CHECK_PLACES = {f"CAR_{name.upper()}": _place(CheckSettings, name) for name in ("known", "lf", "lr", "length", "slip")}
+"""Numbers of the check of inputs that the C source compares with those of the tracker."""
+
+
+def _is_of_numbers(array: ArrayLayout) -> bool:
+    """Return whether an array holds doubles of which none may be NaN."""
+    return array.kind == "f" and array.name not in _WITH_NAN
+
+
+def _is_open(name: str) -> bool:
+    return name.startswith(_OPEN) and name not in _CLOSED
+
+
+# -- numbers ----------------------------------------------------------------------------------------------------------
+def places(block: Block, kind: Any) -> dict[str, int]:
+    """Numbers that the C source calls by name, less their prefix."""
+    at = {array.name: i for i, array in enumerate(block.arrays)}
+    of_mpc = kind is Tracking
+    names = ARRAY_PLACES | (MPC_PLACES if of_mpc else LAW_PLACES)
+    numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
+    numbers |= {
+        "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(of_mpc),
+        "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
+        "EQUALS": len(list(_equals(block, kind))),
+        "AT_CAR": at["tracker.check.settings"], **CHECK_PLACES,
+        **{name.upper(): _place(SETTINGS, name)
+           for name in ("drift_load", "drift_stiffness", "angle_min", "angle_max")},
+        "PERIOD_AT": _place(SETTINGS, "period"), "LATE_AT": _place(SETTINGS, "late"),
+        "SCHEDULE_N_INPUTS": _place(schedule.SETTINGS, "n_inputs"),
+        "SCHEDULE_N_ENTRIES": _place(schedule.SETTINGS, "n_entries"),
+        "SCHEDULE_OF_MPC": _place(schedule.SETTINGS, "of_mpc"),
+        "SCHEDULE_ENTRIES": _place(schedule.SETTINGS, "entries"), "ENTRY_WORDS": size_of(schedule.ENTRY),
+        "SCHEDULE_SCRATCH": schedule.SCRATCH - guard.MAP_AXES, "MAP_AXES": guard.MAP_AXES,
+        **{f"GUARD_{name.upper()}": _place(schedule.SETTINGS, "guard", name)
+           for name in ("used", "mapped", "integers", "numbers")},
+        **{name: getattr(functions, name) for name in ("NUMBER", "NETWORK", "SUGENO", "MULTILINEAR")},
+    }  # fmt: skip
+    return numbers | (_mpc_places(block) if of_mpc else {})
+
+
+def _mpc_places(block: Block) -> dict[str, int]:
+    return {
+        "MPC_SETTINGS": len(mpc.Settings._fields), "MPC_SETTINGS_AT": block.words["step.mpc.settings.period"],
+        "MPC_COUNTS": len(mpc.Counts._fields), "MPC_ARRAYS": arrays_of(mpc.Mpc), "MEASURED": len(MEASURED),
+        "LONGEST_LAG": LONGEST_LAG, "ROWS": ROWS,
+        **{f"MPC_{name.upper()}": block.words[f"step.mpc.settings.{name}"]
+           for name in ("laguerre", "terms", "longest_horizon", "most_moves")},
+        "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(Turning, "lag"),
+        **{f"ESTIMATOR_{name.upper()}": _place(kalman.Numbers, name) for name in ("whole", "share", "longest", "late")},
+        **{f"LEARNER_{name.upper()}": _place(learning.Numbers, name) for name in ("kept", "hypotheses")},
+        "ESTIMATES_LEAST": kalman.memory_size(0, 0),
+        "ESTIMATES_LONGEST": kalman.memory_size(1, 0) - kalman.memory_size(0, 0),
+        "ESTIMATES_LATE": kalman.memory_size(0, 1) - kalman.memory_size(0, 0),
+        "LEARNED_STATE": _place(learning.Memory, "beliefs", "belief_state"),
+        "LEARNED_AT_BOUND": _place(learning.Memory, "beliefs", "belief_at_bound"),
+        "HYPOTHESIS_DEAD_TIME": _place(learning.Hypothesis, "x") + learning.DEAD_TIME,
+        "MOST_STATE": learning.CONTRADICTORY, "MOST_BOUND": len(learning.QUANTITIES_BOUNDED),
+        "LEARNED_LEAST": learning.memory_size(0, 0),
+        "LEARNED_HYPOTHESIS": learning.memory_size(0, 1) - learning.memory_size(0, 0),
+    }  # fmt: skip
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+def tables(block: Block, kind: Any) -> list[str]:
+    """Lines of C: arrays, bounds, words of the first state and links."""
+    arrays = [
+        f"    {{{array.word}, {len(array.sizes)}, {array.entry}, {int(array.role)}, {int(not _is_of_numbers(array))}, "
+        f"{int(_is_open(array.name))}, {{{', '.join(map(str, array.sizes))}}}}},"
+        for array in block.arrays
+    ]
+    bounds = [
+        f"    {{{array}, {word}, {int(is_int)}, {_number(least)}, {_number(most)}}},"
+        for array, word, is_int, least, most in _bounds(block, kind)
+    ]
+    initials = [f"    {{{array}, {word}, UINT64_C({value:#x})}}," for array, word, value in _initials(block)]
+    equals = [f"    {{{', '.join(map(str, words))}}}," for words in _equals(block, kind)]
+    links = [f"    {word}, {zlib.crc32(name.encode()):#010x}u," for word, name in block.links.items()]
+    return [
+        "const adaptrack_array adaptrack_arrays[] = {", *arrays, "};",
+        "const adaptrack_bound adaptrack_bounds[] = {", *bounds, "};",
+        "const adaptrack_initial adaptrack_initials[] = {", *initials, "};",
+        "const adaptrack_equal adaptrack_equals[] = {", *equals, "};",
+        "const uint32_t adaptrack_links[] = {", *links, "};",
+    ]  # fmt: skip
+
+
+def numbers_of(block: Block, kind: Any) -> Iterator[tuple[str, int]]:
+    """Name and word of every constant that is a double."""
+    yield from ((name, word) for name, word, is_int in _numbers_of("", kind, block.words) if not is_int)
+    for array in block.arrays:
+        first = block.words[array.name]
+        if array.role is Role.KEPT or array.kind == "i":
+            continue
+        if array.kind == "f":
+            yield from ((f"{array.name}[{k}]", first + k) for k in range(array.values.size))
+        else:
+            fields = _fields_of(_rows_of(array.name).dtype, 0)
+            yield from ((f"{array.name}.{name}", first + word) for name, word, is_int in fields if not is_int)
+
+
+def _number(value: float) -> str:
+    return f"{'-' if value < 0 else ''}HUGE_VAL" if math.isinf(value) else repr(float(value))
+
+
+def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, float]]:
+    """Array, word, whether it is a whole number, and the bounds of each number of the record and of its rows."""
+    links = set(block.links)
+    for name, word, number in _numbers_of("", kind, block.words):
+        if word not in links:
+            yield len(block.arrays), word, *_bounds_of(name, number, block.record[word])
+    for i, array in enumerate(block.arrays):
+        if array.kind == "V" and array.role is not Role.KEPT:
+            for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
+                yield i, word, *_bounds_of(name, number, int(array.values[word]))
+        elif array.name == MPC_PLACES["learner"]:
+            for name in STEERING_TIMES:
+                yield i, _place(learning.Numbers, name), 0, 0.0, LONGEST_LAG
+        elif array.name == "law.parameters" and "lqr" in block.functions:
+            for word in map(lqr.PARAMETERS.index, ("speeds", "weights")):  # of its grid of gains
+                count = float(array.values.view(np.float64)[word])
+                yield i, word, 0, count, count
+
+
+def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
+    """Array and word of each number that a block holds twice, and of its other place.
+
+    Behind the last array comes the record itself.
+    """
+    at = {array.name: i for i, array in enumerate(block.arrays)}
+    settings = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")}
+    pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
+    if kind is Tracking:
+        pairs += [("period", "step.mpc.informed.estimator", 0), ("period", "step.mpc.informed.learner", 0)]
+        for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
+            yield at["tracker.settings"], settings[name], len(at), block.words[f"step.mpc.settings.{field}"]
+    else:
+        pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
+        pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
+    for name, array, word in pairs:
+        yield at["tracker.settings"], settings[name], at[array], word
+    tuning = (MPC_PLACES if kind is Tracking else LAW_PLACES)["tuning"]
+    for word in range(block.arrays[at[tuning]].sizes[0]):
+        yield at["scheduling.first"], word, at[tuning], word
+
+
+def _rows_of(name: str) -> Any:
+    """The record of an array of rows."""
+    return SETTINGS if name == "tracker.settings" else schedule.SETTINGS
+
+
+def _bounds_of(name: str, is_int: bool, value: int) -> tuple[int, float, float]:
+    """Return whether a number is whole, and its bounds; value: its word in this block."""
+    if is_int:
+        return 1, *NUMBER_BOUNDS.get(name, (value, value))
+    return 0, *NUMBER_BOUNDS.get(name, (-math.inf, math.inf))
+
+
+def _numbers_of(before: str, kind: Any, words: Mapping[str, int]) -> Iterator[tuple[str, int, bool]]:
+    """Name, word and whether it is whole, of every number of a record."""
+    for name, field in kind.kinds.items():
+        if isinstance(field, Number):
+            yield name, words[f"{before}{name}"], field == int64
+        elif hasattr(field, "kinds"):
+            yield from _numbers_of(f"{before}{name}.", field, words)
+
+
+def _fields_of(dtype: Any, at: int) -> Iterator[tuple[str, int, bool]]:
+    """Name, word and whether it is whole, of every number of a row."""
+    for name in dtype.names:
+        field, offset = dtype.fields[name][:2]
+        count, field = (math.prod(field.shape), field.base) if field.shape else (1, field)
+        for k in range(count):
+            word = at + (offset + k * field.itemsize) // 8
+            if field.names is None:
+                yield name, word, field.kind == "i"
+            else:
+                yield from _fields_of(field, word)
+
+
+def _initials(block: Block) -> Iterator[tuple[int, int, int]]:
+    """Array, word and value of every word of the state that is not zero at first; value 0: the period."""
+    between = _place(MEMORY, "between")
+    for i, array in enumerate(block.arrays):
+        if array.role is Role.KEPT and array.name != MPC_PLACES["learned"]:
+            for word in np.flatnonzero(array.values):
+                period = array.name == "tracker.memory" and word == between
+                yield i, int(word), 0 if period else int(array.values[word])
