@@ -523,20 +523,6 @@ def right_hand_sides(at: Any) -> Named:
         yield plant_name(plant), np.hstack([x, u, around, np.array(slopes)])
 
 
-def open_loops(at: Any) -> Named:
-    """Every plant under given angles, its speed held and coasting."""
-    from adaptrack.comparison.manoeuvres.open_loop import Surroundings, drive_open_loop
-
-    def steer(t: Array) -> Array:
-        return np.outer(np.linspace(0.01, 0.12, 40), np.sin(2.0 * t))
-
-    for plant in plants(at):
-        for hold in (True, False):
-            motion = drive_open_loop(plant, steer, 20.0, 3.0, Surroundings(friction=0.7, hold_speed=hold))
-            columns = motion.x, motion.y, motion.yaw, motion.vx, motion.vy, motion.yaw_rate, motion.lateral_acceleration
-            yield f"{plant_name(plant)}, {'held' if hold else 'coasting'}", np.array(columns)
-
-
 def drivers(at: Any, profile: str) -> dict[str, Any]:
     """One controller of each kind that drives in a profile."""
     car = paper(at)
@@ -969,7 +955,7 @@ def quadratic_programmes(at: Any) -> Named:
 
 WORKLOADS: tuple[Callable[[Any], Named], ...] = (
     given_to_controllers, published_mpc, informed_mpc, learning_mpc, scheduled_mpc, steering_laws, mpc_on_roads,
-    trackers, friction_estimator, compiled_steps, right_hand_sides, open_loops, straight_runs, road_runs,
+    trackers, friction_estimator, compiled_steps, right_hand_sides, straight_runs, road_runs,
     runs_of_others, batches, run_sets, swarms, tuning, schedules, episodes, identification, road_geometry,
     generated_roads, models, stability, quadratic_programmes,
 )  # fmt: skip

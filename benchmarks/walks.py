@@ -49,7 +49,6 @@ CONSTRUCTORS = ("__init__", "__post_init__")
 CAMPAIGN = """\
 profile = "road"
 scenario = "lane-change"
-controller = "as-written"
 noise_seeds = [1]
 duration = 2.0
 [operating_points]

@@ -121,7 +121,7 @@ def learning(axes: Axes) -> None:
 
 def manoeuvre(axes: Axes) -> None:
     """The cones of the obstacle avoidance of ISO 3888-2, and a line between them."""
-    from adaptrack.comparison.manoeuvres import iso_3888_2, track_road
+    from adaptrack.comparison.lane_change import iso_3888_2, track_road
 
     outline = at.load_vehicle("compact-ev").outline
     track = iso_3888_2(outline.width)

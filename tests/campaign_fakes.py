@@ -79,7 +79,6 @@ def small(**changes) -> CampaignConfig:
         **{
             "name": "small",
             "profile": "paper",
-            "controller": "as-written",
             "scenario": "step",
             "chunk": 6,
             "seed": 3,

@@ -6,7 +6,7 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.core.frame import FRAME
-from adaptrack.export.page_data import page_car
+from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_setup import simulate_setup
 
 COLUMNS = {
@@ -55,7 +55,6 @@ SETUPS = {
     "learning": _setup(PAPER, {"name": "country"}, {"lateral": 3.0}, "road", "learning"),
     "published": _setup(PAPER, {"name": "country"}, {"constant": 15.0}, "paper", "published"),
     "networks": _setup(PAPER, {"name": "mountain"}, {"lateral": 2.5}, "road", "published-nn", "published-anfis"),
-    "informed networks": _setup(PAPER, {"name": "town"}, {"lateral": 2.5}, "road", "informed-nn", "informed-anfis"),
     "laws": _setup(SEDAN, {"name": "country"}, {"lateral": 2.0}, "road", "pure-pursuit", "stanley", seed=4),
     "lqr": _setup({"name": "van"}, {"name": "town"}, {"lateral": 2.0}, "production", "lqr", "stanley"),
     "late samples": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "production", "informed", "learning", seed=9),

@@ -21,7 +21,6 @@ from adaptrack.studies import adapt as study
 
 CAMPAIGN: dict[str, Any] = {
     "profile": "road",
-    "controller": "as-written",
     "scenario": "lane-change",
     "noise_seeds": [1],
     "seed": 2,

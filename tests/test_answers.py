@@ -14,7 +14,6 @@ from adaptrack import cli
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.next_step import again, instead
 from adaptrack.results import answers
-from adaptrack.results.answers import of_starts
 from test_snippets import parse
 
 pytestmark = pytest.mark.compiled
@@ -84,8 +83,6 @@ def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
         (["simulate", "sine", "step", "-o", "duration=1.0"], r"None of 2 runs failed; the largest", ["simulate"]),
         (["road", "check", "mountain"], r"The road can be driven: 2.17 km, tightest radius 10.4 m, ", ["drive"]),
         (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
-        (["manoeuvre", "sine-with-dwell"], r"Failed: 12 of 20 runs meet the criteria", ["manoeuvre"]),
-        (["manoeuvre", "step-steer"], r"After a step of the steering the yaw rate responds in 0.17", ["manoeuvre"]),
         (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
         (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
         (["scenarios"], "7 scenarios", ["simulate"]),
@@ -122,12 +119,3 @@ def test_a_command_line_is_made_again_with_more_words_or_another_value(monkeypat
     assert again("--learn") == "adaptrack drive 'my road.csv' --speed 40.0 --learn"
     assert instead("--speed", 28.0) == "adaptrack drive 'my road.csv' --speed 28.0"
     assert instead("--lateral-acceleration", 2) == "adaptrack drive 'my road.csv' --speed 40.0 --lateral-acceleration 2"
-
-
-def test_a_start_that_never_settles_is_not_the_best_of_those_that_pass():
-    rows = [
-        {"vehicle": "van", "controller": name, "passed": True, "settling_time": time}
-        for name, time in (("lqr", None), ("informed", 2.5), ("stanley", 4.0))
-    ]
-    assert of_starts(rows) == "3 of 3 passed; van with informed settles in 2.5 s."
-    assert of_starts(rows[:1]) == "1 of 1 passed; none settles within the time that was driven."

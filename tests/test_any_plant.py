@@ -20,13 +20,11 @@ from adaptrack.cars import plant as plant_module
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
-from adaptrack.learning.adaptation.config import load_adaptation
-from adaptrack.learning.adaptation.for_car import WORK, DrivenSetup, write_configuration
-from adaptrack.learning.adaptation.splits import SetUp
-from adaptrack.studies.adapt import Adapted
 from adaptrack.studies.tune_car import TuningEffort, tune
 from adaptrack.tuning.campaign import run_campaign
 from adaptrack.tuning.config import CampaignConfig, Plan
+from adaptrack.tuning.constant_file import load_tuning
+from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs
@@ -89,7 +87,7 @@ def campaign(**changes):
     values = {
         "name": "pond", "profile": "road", "scenario": "lane-change", "noise_seeds": [1], "duration": 2.0,
         "operating_points": {"kind": "grid", "speed": [10.0], "y_ref": [1.0], "friction": [0.9], "wind": [0.0, 5.0]},
-        "swarm": {"particles": 3, "generations": 2}, "library": {"tunings": [[30, 8, 1.0, 5.0], [25, 5, 1.0, 20.0]]},
+        "swarm": {"particles": 3, "generations": 2}, "library": {"tunings": [[30, 8, 1.0, 5e3], [25, 5, 1.0, 2e4]]},
     }  # fmt: skip
     return CampaignConfig(**{**values, **changes})
 
@@ -172,22 +170,11 @@ def test_a_campaign_on_a_stepped_plant_costs_what_its_objective_says(registered,
     data = at.load_dataset(run_campaign(config, tmp_path / "out", workers=2))
     setup = Plan.of(config).setup
     target = Objective(
-        setup.plant(), at.MPC(CAR, profile="road"), "lane-change", "road", noise_seeds=(1,), duration=2.0,
+        setup.plant(), tuned_mpc(setup), "lane-change", "road", noise_seeds=(1,), duration=2.0,
         failure=config.failure.rule,
     )  # fmt: skip
     costs = target.costs([10.0, 1.0, 0.9, 5.0], setup.config.library.rows(setup.config.search))
     np.testing.assert_allclose(data.landscape[1], costs, rtol=1e-6)  # kept in single precision
-
-
-def test_a_costly_plant_is_judged_on_and_its_twin_searched_on(registered, tmp_path):
-    driven = DrivenSetup("sliding", ("sliding",), costly=True)
-    file = write_configuration(tmp_path, "paper", "road", CAR.domain, at.informed_tuning("road"), driven=driven)
-    setup = SetUp.of(load_adaptation(file))
-    assert type(setup.driven).__name__ == "Sliding"
-    assert setup.plant == twin_of(CAR)
-    assert setup.linear == setup.plant
-    assert setup.believed == setup.plant
-    assert setup.evaluation.drives == WORK["full"]["judged_costly"][1]
 
 
 def test_the_identity_of_a_campaign_tells_plants_apart_but_not_modules_that_register_them(registered):
@@ -226,10 +213,7 @@ def test_a_plugin_is_named_with_its_file_before_its_code_runs(monkeypatch, tmp_p
 # -- the command ------------------------------------------------------------------------------------------------------
 @pytest.fixture
 def adapt(monkeypatch, registered, tmp_path):
-    """The command without its chain; a constant that is found quickly."""
-    monkeypatch.setattr("adaptrack.studies.adapt.adapt", lambda *given, **more: Adapted({}, {}, {}, {}, {}))
-    monkeypatch.setattr("adaptrack.cli.comparison.write_page", lambda out, made: out / "index.html")
-    monkeypatch.setattr("adaptrack.cli.comparison.print_comparison", lambda *given: None)
+    """The command, with a constant that is found quickly."""
     monkeypatch.setattr("adaptrack.studies.tune_car.tune", lambda *given, **more: tune(*given, effort=SMALL, **more))
 
     def run(*arguments):
@@ -241,27 +225,17 @@ def adapt(monkeypatch, registered, tmp_path):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("passed", [True, False])
-def test_adapt_ends_as_at_first_when_it_goes_on(adapt, monkeypatch, capsys, passed):
+def test_adapt_writes_the_car_and_its_constant_and_ends_by_what_was_found(adapt, monkeypatch, tmp_path, passed):
     monkeypatch.setattr("adaptrack.studies.tune_car.TunedCar.passed", property(lambda self: passed))
-    code = 0 if passed else 3
-    assert adapt("--quick") == code
-    first = capsys.readouterr().out
-    monkeypatch.setattr("adaptrack.studies.tune_car.tune", lambda *given, **more: pytest.fail("it sought again"))
-    assert adapt("--quick") == code
-    again = capsys.readouterr()
-    assert "goes on with" in again.err
-    assert first.splitlines()[0] in again.out
-    assert adapt() == 2  # with other options
-    assert "other options" in capsys.readouterr().err
+    assert adapt() == (0 if passed else 3)
+    car, constant = load_vehicle(tmp_path / "out" / "paper.toml"), load_tuning(tmp_path / "out" / "constant.toml")
+    assert (car.name, constant.vehicle, constant.controller) == ("paper", "paper", "informed")
 
 
 @pytest.mark.compiled
-def test_adapt_takes_a_registered_plant_and_keeps_how_it_is_found(adapt, tmp_path, capsys):
+def test_adapt_takes_a_registered_plant(adapt, capsys):
     assert adapt("--plant", "sliding", "--plugin", "sliding") == 0
     assert "has no linear model" in capsys.readouterr().out
-    made = load_adaptation(tmp_path / "out" / "adaptation.toml")
-    assert SetUp.of(made).campaign.plugin == ("sliding",)
-    assert type(SetUp.of(made).driven).__name__ == "Sliding"
 
 
 @pytest.mark.compiled

@@ -29,7 +29,6 @@ from adaptrack.base.errors import (
     UnknownName,
 )
 from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
-from adaptrack.control.controllers.informed import informed_tuning
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning import campaign as module
 from adaptrack.tuning import store
@@ -59,7 +58,6 @@ def toml(tmp_path):
     """Write a campaign file; `changes` replace, add or (None) remove top-level lines."""
     lines = {
         "profile": '"paper"',
-        "controller": '"as-written"',
         "scenario": '"step"',
         "operating_points": '{ kind = "grid", speed = [10.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }',
     }
@@ -75,7 +73,7 @@ def toml(tmp_path):
 
 # -- the configuration ------------------------------------------------------------------------------------------------
 def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
-    assert set(list_campaigns()) == {"paper-grid", "road-sobol", "informed-road-sobol", "informed-production-sobol"}
+    assert set(list_campaigns()) == {"paper-grid", "road-sobol"}
     assert all(list_campaigns().values())
     paper, road = (Plan.of(load_campaign(name)) for name in ("paper-grid", "road-sobol"))
     assert len(paper.operating_points) == 6435
@@ -87,48 +85,27 @@ def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
     assert road.operating_points.max(axis=0) == pytest.approx([30, 7, 1.0, 30], abs=0.02)
     assert (road.config.profile, road.config.scenario, road.config.move_weight) == ("road", "lane-change", 3.0)
     assert len(road.config.noise_seeds) > 1
-    assert (paper.config.controller, road.config.controller) == ("as-written", "as-written")
-    for profile in ("road", "production"):
-        informed = load_campaign(f"informed-{profile}-sobol")
-        assert (informed.controller, informed.profile) == ("informed", profile)
 
 
-def test_a_new_campaign_tunes_the_informed_controller_around_its_constant(toml):
-    config = load_campaign(toml(controller=None, profile='"road"'))
-    constant = informed_tuning("road")
-    assert config.controller == "informed"
-    assert config.search == Search.around(constant)
-    assert config.search.R == (1e-3 * constant.R, 1e3 * constant.R)
-    mpc = tuned_mpc(Plan.of(config).setup)
-    assert (mpc.belief is not None, mpc.tuning, mpc.period) == (True, constant, 0.05)
+def test_a_campaign_tunes_the_papers_controller_in_the_loop_of_its_profile(toml):
     published = tuned_mpc(Plan.of(load_campaign(toml(profile='"road"'))).setup)
     assert (published.is_published, published.preview, published.period) == (True, True, 0.05)
 
 
-def test_another_controller_or_profile_is_another_campaign_by_name_and_identity(toml):
+def test_another_profile_is_another_campaign_by_name_and_identity(toml):
     config = load_campaign(toml())
-    assert config.driven_by("as-written", "paper") is config
-    others = [
-        config.driven_by("informed"),
-        config.driven_by(profile="production"),
-        config.driven_by("informed", "road"),
-    ]
-    assert [each.name for each in others] == [
-        "my-campaign-informed", "my-campaign-production", "my-campaign-informed-road",
-    ]  # fmt: skip
-    assert others[1].search == config.search
-    assert others[2].search == Search.around(informed_tuning("road"))
-    assert len({Plan.of(each).identity for each in (config, *others)}) == 4
+    assert config.in_profile("paper") is config
+    other = config.in_profile("production")
+    assert (other.name, other.profile, other.search) == ("my-campaign-production", "production", config.search)
+    assert Plan.of(other).identity != Plan.of(config).identity
 
 
-def test_what_the_car_says_of_its_steering_decides_the_tuning_of_the_informed_controller_alone(toml, tmp_path):
-    seen = {"informed": set(), "as-written": set()}
+def test_what_the_car_says_of_its_steering_does_not_change_a_campaign(toml, tmp_path):
+    seen = set()
     for lag in (0.1, 0.2):
         load_vehicle("paper").replace(steering=Steering(lag=lag)).to_toml(tmp_path / "mine.toml")
-        for controller, found in seen.items():
-            config = load_campaign(toml(controller=f'"{controller}"', vehicle='"mine.toml"'))
-            found.add(Plan.of(config).identity)
-    assert {controller: len(found) for controller, found in seen.items()} == {"informed": 2, "as-written": 1}
+        seen.add(Plan.of(load_campaign(toml(vehicle='"mine.toml"'))).identity)
+    assert len(seen) == 1
 
 
 def test_a_profile_of_ones_own_counts_by_what_is_in_it(toml, tmp_path):
@@ -136,7 +113,7 @@ def test_a_profile_of_ones_own_counts_by_what_is_in_it(toml, tmp_path):
     for lag in (0.1, 0.2):
         world = load_profile("road")
         world.replace(name="lab", steering=world.steering.replace(lag=lag)).to_toml(tmp_path / "lab.toml")
-        seen.add(Plan.of(load_campaign(toml(profile='"lab.toml"', controller=None))).identity)
+        seen.add(Plan.of(load_campaign(toml(profile='"lab.toml"'))).identity)
     assert len(seen) == 2
 
 
@@ -233,7 +210,6 @@ def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_n
         {"duration": "17.0"},
         {"move_weight": "0.5"},
         {"profile": '"road"'},
-        {"controller": '"informed"'},
         {"scenario": '"lane-change"'},
         {"plant": '"single-track"'},
         {"swarm": "{ particles = 21 }"},

@@ -97,7 +97,7 @@ def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(mo
         (["evaluate-schedules", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
         (["evaluate-schedules", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
         (["evaluate-schedules", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
-        (["adapt", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
+        (["adaptation", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, arguments, words):

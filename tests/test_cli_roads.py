@@ -113,11 +113,9 @@ def test_an_evaluation_drives_all_on_the_same_roads_and_leaves_out_what_does_not
         (["tune"], "adaptrack campaign NAME"),
         (["tune", "--config", "paper-grid"], "adaptrack campaign paper-grid --out DIR"),
         (["evaluate"], "adaptrack evaluate-schedules"),
-        (["adapt", "--config", "road", "--out", "x"], "adaptrack adaptation road --out x"),
         (["tune", "town", "--length", "200", "--controller", "nn"], "that of these can be sought: as-released"),
         (["tune", "town", "--length", "200", "--runs", "19"], "give at least 20"),
         (["evaluate", "town", "--length", "200", "--contender", "standrd"], "Did you mean 'standard'"),
-        (["evaluate", "town", "--length", "200", "--schedulers", "road-nn"], "adaptrack evaluate-schedules"),
         (["adapt", "town", "--out", "x"], "adaptrack tune town --out tuning.toml"),
     ],
 )

@@ -53,14 +53,14 @@ def test_columns_that_do_not_fit_stand_below_beside_the_names_and_no_number_is_c
     monkeypatch.setenv("COLUMNS", "80")
     columns = [Column("name", "name"), *(Column(f"value{i}", f"value {i}", "m²/rad²") for i in range(14))]
     rows = [
-        {"name": f"informed-road-paper-recipe-{i}"} | {f"value{k}": 1000.0 + 20 * i + k for k in range(14)}
+        {"name": f"production-paper-recipe-{i}"} | {f"value{k}": 1000.0 + 20 * i + k for k in range(14)}
         for i in range(2)
     ]
     show.table("A title", columns, rows)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
     assert all(f"value {k}" in out and f"{1000 + k}" in out and f"{1020 + k}" in out for k in range(14))
-    assert out.count("informed-road-paper-recipe-1") == out.count("name") > 1
+    assert out.count("production-paper-recipe-1") == out.count("name") > 1
     assert out.startswith("A title\n")
 
 

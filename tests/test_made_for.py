@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -11,8 +12,8 @@ from adaptrack import cli
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, published_mpc
-from adaptrack.control.controllers.made_for import car_of, is_for_published
-from adaptrack.control.scheduling import list_schedulers, load_scheduler
+from adaptrack.control.controllers.made_for import car_of
+from adaptrack.control.scheduling import Constant, list_schedulers, load_scheduler, made_for
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
@@ -30,9 +31,7 @@ def controller(schedule, car, scheduler=None):
     """The MPC that a schedule was made for, of a car."""
     world = load_profile(schedule.made_for["profile"])
     sizes = {"longest_horizon": max(60, schedule.largest[0]), "most_moves": max(20, schedule.largest[1])}
-    if is_for_published(schedule.made_for):
-        return published_mpc(car, scheduler=scheduler, period=world.period, preview=world.preview, **sizes)
-    return MPC(car, profile=world, scheduler=scheduler, **sizes)
+    return published_mpc(car, scheduler=scheduler, period=world.period, preview=world.preview, **sizes)
 
 
 def test_every_shipped_scheduler_says_for_which_car_and_profile_it_was_made():
@@ -112,13 +111,15 @@ def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_tha
 
 
 @pytest.mark.compiled
-def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(command, monkeypatch):
-    code, said = command(*drive_shortly("van", "informed-road-best-constant"))
+def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(command, monkeypatch, tmp_path):
+    mpc, file = MPC("paper", profile="road"), tmp_path / "cautious.json"
+    replace(Constant(mpc.tuning, name="cautious"), made_for=made_for(mpc, "road")).save(file)
+    code, said = command(*drive_shortly("van", file))
     assert code == 0
-    assert "Warning, scheduler 'informed-road-best-constant', made for the car 'paper', on 'van'" in said.err
+    assert "Warning, scheduler 'cautious', made for the car 'paper', on 'van'" in said.err
     assert "Passed: the closed loop is stable at all" in said.err
     monkeypatch.setattr("adaptrack.analysis.certify.certify", lambda *given, **more: pytest.fail("it was looked at"))
-    code, said = command(*drive_shortly("paper", "informed-road-best-constant"))
+    code, said = command(*drive_shortly("paper", file))
     assert code == 0
     assert "certificate" not in said.out + said.err
 

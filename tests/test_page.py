@@ -166,7 +166,7 @@ def test_it_begins_with_what_it_was_exported_with(chromium, page, tmp_path):
     fresh(chromium, own)
     state = chromium.run(STATE)
     assert state["notice"] == ""
-    assert state["setup"]["car"]["file"]["mass"] == 1300.0
+    assert state["setup"]["car"]["file"]["numbers"]["mass"] == 1300.0
     assert len(state["setup"]["road"]["points"]) == 41
     assert [each["kind"] for each in state["setup"]["controllers"]] == ["learning", "stanley"]
     assert (state["setup"]["speed"], state["setup"]["profile"], state["setup"]["seed"]) == (

@@ -20,6 +20,7 @@ from adaptrack.core.plants.contract import SLOTS, STATE
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
+from adaptrack.export.page_inputs import page_car
 from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
 from programs import find_program
@@ -126,13 +127,11 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
 
 
 @pytest.mark.slow
-def test_files_that_are_dropped_are_driven_as_the_package_reads_them(ask, tmp_path):
+def test_files_that_are_dropped_are_driven_as_the_package_reads_them(ask):
     points = np.array(page_drives.WAVE["points"])
     table = "x,y\n" + "".join(f"{x},{y}\n" for x, y in points.tolist())
     car = at.load_vehicle("van").replace(steering=at.Steering(lag=0.2, dead_time=0.08))
-    car.to_toml(tmp_path / "mine.toml")
-    toml = (tmp_path / "mine.toml").read_text()
-    texts = {"car file": toml, "csv": table}
+    texts = {"car file": json.dumps({"page_car": page_car(car)}), "csv": table}
     read = ask(*({"type": "read", "id": what, "what": what, "text": text} for what, text in texts.items()))
     assert refused(read) == []
     given, road = read[1]["car"], {"points": read[2]["points"], "closed": False}

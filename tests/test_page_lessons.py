@@ -142,7 +142,7 @@ SETUPS = {
     "scheduled": {"car": {"name": "paper"}, "truth": {"friction": 0.6, "wind": 4.0},
                   "road": {"test": "triple-lane-change"}, "controllers": [{"kind": "published-anfis"}]},
     "others": {"controllers": [{"kind": "stanley"}, {"kind": "lqr"}], "road": {"name": "town"}, "seed": 3},
-    "informed-nn": {"controllers": [{"kind": "informed-nn"}], "truth": {"lag": 0.0}},
+    "no lag": {"controllers": [{"kind": "informed"}], "truth": {"lag": 0.0}},
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.export.page_inputs import tyre_numbers
+from adaptrack.export.page_inputs import page_car
 from browsers import Chromium, Media
 from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, exported
 
@@ -253,7 +253,7 @@ DROP = """
 STRAIGHT = "\n".join(f"{10 * k},0" for k in range(30))
 HOSTILE = {
     "100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.csv"),
-    "a car of 100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.toml"),
+    "a car of 100 MB": ("Array(100).fill(new Uint8Array(1e6))", "large.json"),
     "nothing": ("[]", "empty.csv"),
     "one point": (json.dumps(["x,y\n1,2\n"]), "one.csv"),
     "the same point": (json.dumps(["1,2\n" * 50]), "same.csv"),
@@ -263,10 +263,11 @@ HOSTILE = {
     "bytes": ("[new Uint8Array(1e5).map((_, i) => i * 7919 % 251)]", "bytes.csv"),
     "a kink": (json.dumps([STRAIGHT + "\n290,0\n0,1\n10,1\n"]), "kink.csv"),
     "a million metres": (json.dumps([STRAIGHT.replace("50,0", "50,1e6")]), "far.csv"),
-    "no car": (json.dumps(["[wheels]\ncount = 3\n"]), "none.toml"),
-    "a torn car": (json.dumps(["mass = [1, 2"]), "torn.toml"),
-    "a weightless car": (json.dumps(["name = 'x'\nmass = 0\n"]), "light.toml"),
-    "deep": (json.dumps(["a = " + "[" * 5000]), "deep.toml"),
+    "no car": (json.dumps(['{"wheels": 3}']), "none.json"),
+    "a torn car": (json.dumps(['{"page_car": {"numbers": [1, 2']), "torn.json"),
+    "a weightless car": (json.dumps(['{"page_car": {"numbers": {"mass": 0}}}']), "light.json"),
+    "deep": (json.dumps(["[" * 5000]), "deep.json"),
+    "a car in TOML": (json.dumps(["mass = 1500\n"]), "my-car.toml"),
 }
 
 
@@ -282,10 +283,10 @@ def test_a_file_that_is_none_gives_a_sentence_and_never_a_frozen_page(shown, fil
     assert shown.run("adaptrackPage.advance(5)") == 5
 
 
-DROP_BOTH = """
-(async (files) => {
+DROP_CAR = """
+(async (text) => {
   const given = new DataTransfer();
-  for (const [name, text] of files) given.items.add(new File([text], name));
+  given.items.add(new File([text], "own.json"));
   document.body.dispatchEvent(new DragEvent("drop", {dataTransfer: given, bubbles: true, cancelable: true}));
   const car = () => adaptrackPage.state().setup.car.file;
   for (let k = 0; k < 500 && !car(); k++) await new Promise((done) => setTimeout(done, 10));
@@ -293,15 +294,17 @@ DROP_BOTH = """
 })"""
 
 
-def test_a_car_is_dropped_together_with_the_file_of_its_tyre(shown, file, tmp_path):
+def test_a_car_that_was_saved_is_dropped_and_driven(shown, file):
     opened(shown, file)
-    at.load_tyre("van").to_toml(tmp_path / "own-tyre.toml")
-    at.load_vehicle("van").replace(tyre=str(tmp_path / "own-tyre.toml")).to_toml(tmp_path / "own.toml")
-    files = [(name, (tmp_path / name).read_text()) for name in ("own-tyre.toml", "own.toml")]
-    car = shown.run(f"{DROP_BOTH}({json.dumps(files)})")
-    assert car["numbers"]["mass"] == 2800.0
-    assert car["tyre"]["numbers"] == tyre_numbers(at.load_tyre("van"))
+    saved = page_car(at.load_vehicle("van").replace(name="own"))
+    car = shown.run(f"{DROP_CAR}({json.dumps(json.dumps({'page_car': saved}))})")
+    assert car["numbers"] == saved["numbers"]
+    assert car["tyre"] == saved["tyre"]
     assert shown.run("adaptrackPage.advance(5)") == 5
+    for kept in ({"file": car}, {"name": "van"}):
+        asking = json.dumps({"type": "write", "what": "car", "car": kept})
+        text = shown.run(f"adaptrackPage.page.engine.ask({asking}).then(({{text}}) => text)")
+        assert json.loads(text)["page_car"]["numbers"] == saved["numbers"]
 
 
 @pytest.mark.parametrize(

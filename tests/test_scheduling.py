@@ -411,8 +411,8 @@ def test_every_scheduler_that_ships_names_its_car_profile_controller_and_kernels
     for name in list_schedulers():
         told = load_scheduler(name).made_for
         assert told["car"] == "paper"
-        assert told["profile"] == ("production" if "production" in name else "road")
-        assert told["controller"]["model"] == ("path, kalman" if name.startswith("informed") else "incremental")
+        assert told["profile"] == "road"
+        assert told["controller"]["model"] == "incremental"
         assert told["kernels"]
 
 

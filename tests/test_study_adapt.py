@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 import shutil
 from dataclasses import replace
@@ -15,12 +14,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.base.files import Record
-from adaptrack.cars.vehicle import GRAVITY, load_vehicle
+from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.comparison import evaluate
 from adaptrack.comparison.contenders import CONSTANTS, Contender, contenders_of
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
-from adaptrack.control.controllers import Tuning, published_mpc
-from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     ENTRIES,
     Constant,
@@ -226,8 +224,6 @@ def test_the_file_of_a_campaign_is_looked_for_beside_that_of_the_adaptation(tmp_
         ({"tyre": "passenger-car"}, {}),
         ({"profile": "paper", "noise_seeds": [0]}, {}),
         ({"profile": "production"}, {}),
-        ({"controller": "informed"}, {}),
-        ({}, {"controller": "informed"}),
         ({}, {"profile": "production"}),
         ({"noise_seeds": [1, 2]}, {}),
         ({"swarm": {"particles": 5, "generations": 2}}, {}),
@@ -576,18 +572,6 @@ def test_the_schedulers_that_ship_name_the_settings_of_the_configuration_that_sh
         check_scheduler(schedule, 40, seed=3)
 
 
-def test_those_of_the_informed_controller_are_of_the_configuration_that_ships_and_say_for_whom():
-    setup, schedules = SetUp.of(load_adaptation("informed-road")), shipped("informed-road")
-    assert {"nn", "nn unguarded", "speed only", "best constant", "best constant on drives"} <= set(schedules)
-    for kind, schedule in schedules.items():
-        assert schedule.name == study.file_name("informed-road", kind)
-        assert schedule.provenance["settings"] == setup.config.settings
-        assert schedule.provenance["campaign"] == setup.plan.identity
-        assert setup.mpc.mismatches(schedule, "road") == []
-        assert len(published_mpc(load_vehicle("van")).mismatches(schedule, "paper")) == 3
-        check_scheduler(schedule, 40, seed=3)
-
-
 @pytest.mark.compiled
 def test_a_scheduler_names_the_settings_and_the_software_that_made_it(chain):
     for schedule in chain.schedules.values():
@@ -672,35 +656,6 @@ def test_on_drives_no_constant_is_better_than_that_of_hindsight(chain):
     assert exact.where[:, 0].tolist() == [3_070_000.0, 3_070_001.0]
     assert {found["withheld"].role(name).kind for name in found["withheld"].costs} == set(evaluate.PERCEIVING)
     np.testing.assert_array_equal(found["withheld"].costs["best constant"], exact.costs["best constant"])
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("profile", ["road", "production"])
-def test_the_informed_controller_is_judged_by_its_own_constant_where_none_was_sought(tmp_path, profile):
-    setup = SetUp.of(load_adaptation(write(tmp_path), controller="informed", profile=profile))
-    assert (setup.controller, setup.profile, setup.mpc.tuning) == ("informed", profile, informed_tuning(profile))
-    found = on_drives(setup, {}, 2, 7)["exact"]
-    assert found.reference == "default constant"
-    published = {"published", "published, road-nn"} if profile == "road" else set()  # it needs the lateral velocity
-    assert set(found.costs) == {"default constant", "per-drive constant", *published}
-    assert (found.regret("per-drive constant") <= 1.0).all()
-    assert not found.failures["default constant"].any()
-    controllers = {row["contender"]: row["controller"] for row in found.rows()}
-    assert controllers["default constant"] == "informed"
-    assert not published or controllers["published"] == "standard MPC (pulse)"
-
-
-def test_searches_and_learning_begin_at_the_constant_of_the_controller(tmp_path):
-    own = load_adaptation(write(tmp_path))
-    assert own.method.improvement == Method().improvement
-    config, constant = load_adaptation(write(tmp_path), controller="informed"), informed_tuning("road")
-    assert config.name == "tiny-informed"
-    assert config.method.constants.tuning == replace(constant, Q=1.0)
-    assert config.method.improvement.start == (constant.Np, constant.Nc, math.log10(constant.R))
-    assert config.method.constants.evaluations == own.method.constants.evaluations
-    given = load_adaptation(write(tmp_path, controller="informed", method={"improvement": {"start": [20.0, 4.0, 1.0]}}))
-    assert given.method.improvement.start == (20.0, 4.0, 1.0)
-    assert given.method.improvement.R == config.method.improvement.R
 
 
 @pytest.mark.compiled

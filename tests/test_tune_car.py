@@ -1,4 +1,4 @@
-"""From a car to a checked constant tuning, and to the configuration of its adaptation."""
+"""From a car to a checked constant tuning."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ import pytest
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName
-from adaptrack.cars.vehicle import list_vehicles
 from adaptrack.control.controllers import MPC
-from adaptrack.learning.adaptation.config import load_adaptation
-from adaptrack.learning.adaptation.for_car import write_configuration
-from adaptrack.learning.adaptation.splits import SetUp, drive_numbers, training_runs
 from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 
@@ -101,24 +97,3 @@ def test_a_search_drives_what_no_judgement_does():
     for seed in range(3):
         sought = range(FIRST_SOUGHT + 1000 * seed, FIRST_SOUGHT + 1000 * (seed + 1))
         assert sought.stop <= FIRST_JUDGED
-
-
-@pytest.mark.parametrize("name", list_vehicles())
-@pytest.mark.parametrize("quick", [True, False])
-def test_the_configuration_of_any_shipped_car_is_one_and_stays_within_its_domain(name, quick, tmp_path):
-    car = at.load_vehicle(name)
-    file = write_configuration(tmp_path, name, "road", car.domain, at.informed_tuning("road"), quick=quick)
-    setup = SetUp.of(load_adaptation(file))
-    assert setup.plan.setup.vehicle == car
-    assert setup.method.runs.failure.distance == car.domain.failure_distance
-    assert setup.box["speed"] == car.domain.speed
-    assert setup.box["wind"] == (-car.domain.wind, car.domain.wind)
-    assert setup.config.learning.domain["speed"] == car.domain.speed
-    numbers = drive_numbers(setup.config).values()
-    assert not {FIRST_SOUGHT, FIRST_JUDGED} & {each.start for each in numbers}
-    if quick:
-        lane_changes, drives, hard = (runs for runs, _ in training_runs(setup))
-        for runs in (lane_changes, drives, hard):
-            speeds = np.concatenate([each.speed for each in runs.signals])
-            assert car.domain.speed[0] - 1e-9 <= speeds.min()
-            assert speeds.max() <= car.domain.speed[1] + 1e-9

@@ -34,7 +34,7 @@ IDENTIFIERS = {"body": "plant", "bodies": "plants", "who": "options, contender"}
 
 MEANT = {
     "lead": {"docs/opponents.md": 1, "docs/learning.md": 1},
-    "asked": {"docs/campaign.md": 1, "src/adaptrack/cli/adapt.py": 1},
+    "asked": {"docs/campaign.md": 1},
     "told": {"src/adaptrack/cli/evaluate_schedules.py": 1},
     "body": {
         "docs/extensions/mathml.py": 1, "src/adaptrack/__init__.py": 1, "src/adaptrack/cars/data_sheet.py": 8,

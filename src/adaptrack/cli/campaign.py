@@ -29,7 +29,6 @@ class CampaignOptions:
 
     config: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Name (paper-grid, road-sobol, ...) or .toml file.")]
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of the campaign.")]
-    controller: options.Tuned = None
     profile: options.OtherProfile = None
     resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False
     workers: options.Workers = None
@@ -51,8 +50,7 @@ def campaign(given: CampaignOptions) -> None:
     from adaptrack.tuning.dataset import load_dataset
 
     out, dask = given.out, given.dask
-    controller = None if given.controller is None else str(given.controller)
-    config = load_campaign(given.config).driven_by(controller, given.profile)
+    config = load_campaign(given.config).in_profile(given.profile)
     show.say(_estimate(config, None if dask else given.workers or os.cpu_count() or 1), aside=True)
     interrupt.kept(f"Finished chunks, if any, are kept in {out}: go on with --resume.")
     begun, runs = time.perf_counter(), 0

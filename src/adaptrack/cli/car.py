@@ -182,7 +182,10 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
     from adaptrack.results.answers import of_car
 
     if as_json:
+        from adaptrack.export.page_inputs import page_car
+
         show.say_json({
+            "page_car": None if vehicle is None else page_car(vehicle, None if fit is None else fit.tyre),
             "car": None if vehicle is None else vehicle.model_dump(mode="json"),
             "derived": [] if vehicle is None else derived(vehicle, fit),
             "tyre": None if fit is None else {

@@ -1,4 +1,4 @@
-"""What `adapt`, `adaptation` and `evaluate-schedules` show: how schedulers compare."""
+"""What `adaptation` and `evaluate-schedules` show: how schedulers compare."""
 
 from __future__ import annotations
 
@@ -11,20 +11,7 @@ from adaptrack.cli import options, show
 
 if TYPE_CHECKING:
     from adaptrack.comparison.table import Comparison
-    from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.adapt import Adapted
-
-
-def study(config: str | None, controller: str | None, profile: str | None) -> AdaptationConfig:
-    """The adaptation that the options ask for: a configuration for a controller and a profile, or what ships for both.
-
-    Without any of them: the informed controller in the profile `road`.
-    """
-    from adaptrack.learning.adaptation.config import find_adaptation, load_adaptation
-
-    if config is None:
-        return load_adaptation(find_adaptation(str(controller or "informed"), profile or "road"))
-    return load_adaptation(config, controller=None if controller is None else str(controller), profile=profile)
 
 
 def scheduler_files(given: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""`adaptrack evaluate`: controllers, tunings and schedulers on given roads."""
+"""`adaptrack evaluate`: controllers and tunings on given roads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SEED
-from adaptrack.cli import comparison, on_roads, options, show
+from adaptrack.cli import on_roads, options, show
 from adaptrack.cli.next_step import command, next_line
 from adaptrack.cli.road import RoadOptions
 
@@ -39,12 +39,6 @@ class EvaluateOptions:
     tuning: Annotated[
         list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found; may be repeated.")
     ] = None
-    schedulers: Annotated[
-        list[str] | None,
-        Option(
-            "--schedulers", metavar="NAME", help="Names (see `schedulers`), files or folders of the informed MPC's."
-        ),
-    ] = None
     car: options.CarAndPlant
     profile: options.Profile = "road"
     route: RoadOptions
@@ -63,7 +57,7 @@ class EvaluateOptions:
 def evaluate(given: EvaluateOptions) -> None:
     """Compare controllers and tunings on given roads.
 
-    The same speed, car and noise for all; schedulers may drive, too. Failed runs are part of the result: they are
+    The same speed, car and noise for all. Failed runs are part of the result: they are
     counted for each contender, and the exit code is 0. Schedulers where none was trained: `adaptrack
     evaluate-schedules`.
     """
@@ -111,8 +105,7 @@ def _contenders(
 
     chosen: list[Contender] = []
     left_out: dict[str, str] = {}
-    schedulers = comparison.scheduler_files(given.schedulers or [])
-    for name in [*(given.contender or USUAL), *schedulers]:
+    for name in given.contender or USUAL:
         check_contender(name)
     for name in dict.fromkeys(given.contender or USUAL):
         contender = get_contender(name, setting.runs)
@@ -133,18 +126,4 @@ def _contenders(
             raise InvalidInput(f"--tuning {file}: {'; '.join(faults)}.")
         tuned = kept.make(setting.car, setting.profile, setting.profile.period, preview=True)
         chosen.append(Contender(kept.label(file), tuned))
-    chosen += [_scheduled(name, setting) for name in dict.fromkeys(schedulers)]
     return chosen, left_out
-
-
-def _scheduled(name: str, setting: on_roads.RoadSetting) -> Contender:
-    """A scheduler on the informed MPC; one that was made for something else is refused."""
-    from adaptrack.comparison.contenders import Contender
-    from adaptrack.control.scheduling import check_scheduler, load_scheduler
-
-    schedule = load_scheduler(name)
-    check_scheduler(schedule)
-    faults = setting.runs.mpc.mismatches(schedule, setting.profile.name)
-    if faults:
-        raise InvalidInput(f"scheduler {schedule.name!r} {'; it '.join(faults)}.")
-    return Contender(schedule.name, schedule)

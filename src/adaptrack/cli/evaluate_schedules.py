@@ -51,14 +51,12 @@ class EvaluateSchedulesOptions:
     ] = None  # fmt: skip
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False
     config: Annotated[
-        str | None,
+        str,
         Option(
             "--config", metavar="NAME", hidden=True,
-            help="Whose vehicle, controller, profile and domain: name (road, informed-road, ...) or .toml file; by "
-            "default what ships for controller and profile.",
+            help="Adaptation whose vehicle, profile and domain are used: name (road) or .toml file.",
         ),
-    ] = None  # fmt: skip
-    controller: options.Tuned = None
+    ] = "road"  # fmt: skip
     profile: options.OtherProfile = None
     plant: Annotated[
         str | None,
@@ -89,12 +87,13 @@ def evaluate_schedules(given: EvaluateSchedulesOptions) -> None:
     """
     from adaptrack.comparison.contenders import check_contender
     from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
+    from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.adaptation.splits import SetUp
     from adaptrack.studies.adapt import Adapted
     from adaptrack.tuning.runs import perception
 
     options.load_plugins(given.plugin)
-    setup = SetUp.of(comparison.study(given.config, given.controller, given.profile))
+    setup = SetUp.of(load_adaptation(given.config, profile=given.profile))
     if given.plant is not None:
         setup = setup.driving(given.plant)
     compared, more = schedules(setup, given.schedulers or []), given.contender or []

@@ -39,13 +39,6 @@ class ModelName(StrEnum):
     anfis = "anfis"
 
 
-class TunedName(StrEnum):
-    """Controllers whose tuning is sought."""
-
-    informed = "informed"
-    as_written = "as-written"
-
-
 class TargetsName(StrEnum):
     """What they learn."""
 
@@ -92,16 +85,6 @@ Speed = Annotated[
 ]
 LateralAcceleration = Annotated[
     float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
-]
-Tuned = Annotated[
-    TunedName | None,
-    Option(
-        "--controller",
-        metavar="NAME",
-        hidden=True,
-        help="Whose tuning is sought: informed, the MPC that knows its car; as-written, the paper's. By default the "
-        "configuration's.",
-    ),
 ]
 OtherProfile = Annotated[
     str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: road, ...")

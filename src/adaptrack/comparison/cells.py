@@ -21,7 +21,8 @@ from adaptrack.cars.plant import Plant, twin_of
 from adaptrack.comparison.compare import check_fits
 from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.manoeuvres import LaneChangeTest, entry_speed, iso_3888_2
+from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
+from adaptrack.comparison.lane_change import iso_3888_2
 from adaptrack.comparison.measures import RUN, as_column, measure_runs
 from adaptrack.control.controllers import MPC, About, Controller, about_controller
 from adaptrack.road import Road

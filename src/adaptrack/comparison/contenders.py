@@ -81,8 +81,6 @@ def _check_tunings(name: str, policy: ArrayLike) -> None:
 
 
 # -- by name ----------------------------------------------------------------------------------------------------------
-PUBLISHED_CONTENDERS = ("published", "published, road-nn")
-"""The paper's controller beside another, with its best constant and with its networks."""
 STANDARD = "standard"
 """The MPC of the runs with the tuning of the paper's table."""
 
@@ -145,7 +143,7 @@ CONSTANTS = ("best constant", "best constant on drives", "fallback")
 
 OF_AN_ADAPTATION = frozenset(
     {
-        *CONSTANTS, *ONCE, "default constant", "best constant of operating points", "optimum", "per-drive constant",
+        *CONSTANTS, *ONCE, "best constant of operating points", "optimum", "per-drive constant",
         "nn", "anfis", "nn unguarded", "anfis unguarded", "speed only", "speed look-up",
     }
 )  # fmt: skip
@@ -158,17 +156,14 @@ def reserved() -> set[str]:
 
 
 def contenders_of(
-    schedules: Mapping[str, Any], points: Array | None = None, more: Sequence[Contender] = (), *,
-    own: Tuning | None = None,
-) -> dict[str, Contender]:  # fmt: skip
-    """The schedules of an adaptation (by kind) as they are driven, by name, beside a constant and `more`.
+    schedules: Mapping[str, Any], points: Array | None = None, more: Sequence[Contender] = ()
+) -> dict[str, Contender]:
+    """The schedules of an adaptation (by kind) as they are driven, by name; then `more`.
 
-    own: the constant of a controller that has one of its own; without it the constant is that of the paper's table.
     There are two best constants, one for operating points and one for drives: on drives the latter is "best constant",
     and the former is driven too.
     """
-    first: dict[str, Policy] = {"standard": Tuning()} if own is None else {"default constant": own}
-    policies: dict[str, Policy] = {**first, **schedules}
+    policies: dict[str, Policy] = {STANDARD: Tuning(), **schedules}
     policies.pop("fallback", None)
     on_drives = policies.pop("best constant on drives", None)
     if points is not None:

@@ -10,17 +10,14 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import compare
-from adaptrack.comparison.contenders import PUBLISHED_CONTENDERS, Contender, contenders_of, get_contender
+from adaptrack.comparison.contenders import Contender, contenders_of, get_contender
 from adaptrack.comparison.hindsight import SwarmSearch, optimum, per_run_best
 from adaptrack.comparison.table import Comparison
-from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import PUBLISHED
 from adaptrack.drive.world import KnownAs
 from adaptrack.learning.adaptation.recipes import ANYWHERE
 from adaptrack.learning.adaptation.splits import SetUp, evaluation_drives, evaluation_points
-from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import (
     RunSet,
@@ -51,25 +48,24 @@ def on_operating_points(
     """
     points = evaluation_points(setup, count, seed)
     ways = {name: perception(name, setup.believed, setup.profile) for name in known_as}
-    beside = published_beside(setup)
     best, reference, plant = None, "optimum", _searchable(setup)
     if plant is None:
-        reference = _needs_a_constant(setup, schedules)
+        reference = _needs_a_constant(schedules)
     else:
         search = SwarmSearch(setup.campaign.search.space(), setup.campaign.swarm, seed)
         best = optimum(
             _objective(setup, plant), points, search, evaluation=setup.evaluation,
-            known=_constants(setup, schedules), progress=progress,
+            known=_constants(schedules), progress=progress,
         )  # fmt: skip
     found = {}
     for name, known in ways.items():
         runs = operating_point_runs(
             setup.driven, setup.mpc, points, setup.profile, known_as=known, failure=setup.method.runs.failure
         )
-        contenders = contenders_of(schedules, points, _made((*beside, *more), runs), own=own_constant(setup))
+        contenders = contenders_of(schedules, points, _made(more, runs))
         if best is not None:
             contenders["optimum"] = Contender("optimum", best, hindsight=True, kind="optimum")
-        chosen = _driven(contenders, name, ("default constant", *PERCEIVING, "optimum"))
+        chosen = _driven(contenders, name, (*PERCEIVING, "optimum"))
         found[name] = compare(runs, chosen, setup.evaluation.noise_seeds, reference, points, progress)
     return found
 
@@ -80,35 +76,32 @@ def on_drives(
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives that nothing was trained on; regret is to the best constant.
 
-    Where none was sought, it is to the constant that the controller has by itself. The best constant of each drive,
-    with hindsight, is left out where the plant is costly.
+    The best constant of each drive, with hindsight, is left out where the plant is costly.
     """
     ways = {name: perception(name, setup.believed, setup.profile) for name in known_as}
-    reference = _needs_a_constant(setup, schedules)
+    reference = _needs_a_constant(schedules)
     numbers, noise = evaluation_drives(setup.evaluation, count, seed), setup.evaluation.noise_seeds[:1]
     found = {}
     for name, known in ways.items():
         runs = drive_runs(setup, numbers, known)
-        beside = published_beside(setup) if name == "exact" else ()
-        contenders = contenders_of(schedules, more=_made((*beside, *more), runs), own=own_constant(setup))
+        contenders = contenders_of(schedules, more=_made(more, runs))
         if name == "exact" and _searchable(setup) is not None:
             best = per_run_best(runs, _hindsight(setup, schedules), noise)
             contenders["per-drive constant"] = Contender(
                 "per-drive constant", best, hindsight=True, kind="per-drive constant"
             )
-        chosen = _driven(contenders, name, ("default constant", *PERCEIVING))
+        chosen = _driven(contenders, name, PERCEIVING)
         found[name] = compare(runs, chosen, noise, reference, np.array(numbers, dtype=float)[:, None], progress)
     return found
 
 
 def on_tests(setup: SetUp, schedules: Mapping[str, Schedule], *, more: More = ()) -> dict[str, Comparison]:
     """On the paper's two tests, in the campaign's profile."""
-    reference = _needs_a_constant(setup, schedules)
+    reference = _needs_a_constant(schedules)
     found = {}
     for name in PUBLISHED:
         runs = paper_test_runs(setup.driven, setup.mpc, name, setup.profile, failure=setup.method.runs.failure)
-        beside = published_beside(setup)
-        contenders = contenders_of(schedules, more=_made((*beside, *more), runs), own=own_constant(setup))
+        contenders = contenders_of(schedules, more=_made(more, runs))
         found[name] = compare(runs, contenders.values(), setup.evaluation.noise_seeds, reference, np.zeros((1, 1)))
     return found
 
@@ -126,17 +119,6 @@ def drive_runs(setup: SetUp, numbers: range, known: KnownAs = None) -> RunSet:
         setup.driven, setup.mpc, numbers, setup.evaluation.duration, setup.profile, roads=setup.roads,
         segment_seconds=runs.segment, known_as=known, failure=runs.failure,
     )  # fmt: skip
-
-
-def own_constant(setup: SetUp) -> Tuning | None:
-    """The constant of a controller that has one of its own; of the paper's None."""
-    return tuned_mpc(setup.plan.setup).tuning if setup.controller == "informed" else None
-
-
-def published_beside(setup: SetUp) -> tuple[str, ...]:
-    """The paper's controller, as contenders beside another, where the profile measures the state that it needs."""
-    measured = np.isfinite(load_profile(setup.profile).noise).all()
-    return PUBLISHED_CONTENDERS if setup.controller == "informed" and measured else ()
 
 
 def _made(more: More, runs: RunSet) -> list[Contender]:
@@ -157,18 +139,15 @@ def _objective(setup: SetUp, plant: Plant) -> Callable[[Sequence[int]], Objectiv
     )
 
 
-def _constants(setup: SetUp, schedules: Mapping[str, Schedule]) -> Array:
-    own = own_constant(setup)
+def _constants(schedules: Mapping[str, Schedule]) -> Array:
     rows = [schedules[name](ANYWHERE) for name in ("best constant", "fallback") if name in schedules]
-    return np.reshape([*rows, *([] if own is None else [own.as_array()])], (-1, 4))
+    return np.reshape(rows, (-1, 4))
 
 
-def _needs_a_constant(setup: SetUp, schedules: Mapping[str, Schedule]) -> str:
+def _needs_a_constant(schedules: Mapping[str, Schedule]) -> str:
     """The constant that regret is measured against."""
     if "best constant on drives" in schedules:
         return "best constant"
-    if own_constant(setup) is not None:
-        return "default constant"
     raise InvalidInput(
         "the best constant on drives, to which all is compared, is not among the schedulers: those of one's own "
         "configuration are files of `adaptrack adaptation --out DIR`, given as --schedulers DIR/schedulers."
@@ -177,7 +156,7 @@ def _needs_a_constant(setup: SetUp, schedules: Mapping[str, Schedule]) -> str:
 
 def _hindsight(setup: SetUp, schedules: Mapping[str, Schedule]) -> Array:
     """Tunings around the best constant on drives, for hindsight."""
-    law, own = setup.evaluation, own_constant(setup)
+    law = setup.evaluation
     grid = [(Np, Nc, 1.0, ratio) for Np in law.hindsight_Np for Nc in law.hindsight_Nc for ratio in law.hindsight_R]
     first = [schedules[kind](ANYWHERE) for kind in ("best constant on drives",) if kind in schedules]
-    return np.array([*first, *([] if own is None else [own.as_array()]), *grid])
+    return np.array([*first, *grid])

@@ -262,7 +262,7 @@ class Comparison:
 
     def _over_constant(self, name: str) -> dict[str, float]:
         """The cost over that of the first constant that is not the reference."""
-        constants = [each for each in self.of_kind("best constant", "default constant") if each != self.reference]
+        constants = [each for each in self.of_kind("best constant") if each != self.reference]
         if not constants:
             return {}
         over = self.ratio(name, constants[0])

@@ -1,4 +1,4 @@
-"""Registered controllers that are others with something: a schedule, learning, less that is known of the car.
+"""Presets of registered controllers: with a schedule, with learning, with less knowledge of the car.
 
 Those that know the car are given its file, and of the steering what the profile says; one that learns is given of the
 steering what the file says alone.
@@ -28,25 +28,19 @@ def learning_from_sheet(vehicle: Vehicle, *, profile: str | Profile | None = Non
     return learning(car, profile=profile, **options)
 
 
-def informed_nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
-    """The informed controller with the networks that ship for it.
+def nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
+    """The paper's controller with the networks that ship for it.
 
     Raises
     ------
     InvalidInput
         When they were made for another car or profile.
     """
-    schedule = _fitting("informed-road-nn", MPC(vehicle, profile=profile, **options), profile)
-    return MPC(vehicle, profile=profile, scheduler=schedule, **options)
-
-
-def nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
-    """The paper's controller with the networks that ship for it; raises as `informed_nn`."""
     return published_mpc(vehicle, scheduler=_fitting("road-nn", published_mpc(vehicle, **options), profile), **options)
 
 
 def anfis(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
-    """The paper's controller with the fuzzy systems that ship for it; raises as `informed_nn`."""
+    """The paper's controller with the fuzzy systems that ship for it; raises as `nn`."""
     schedule = _fitting("road-anfis", published_mpc(vehicle, **options), profile)
     return published_mpc(vehicle, scheduler=schedule, **options)
 

@@ -28,7 +28,7 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
 
 When the truth changes while it drives, 1 and 2 are called again with a changed actuator.
 
-**An informed MPC** (`informed`, `learning`, and either with a schedule): from ``order`` of `controller_numbers`.
+**An informed MPC** (`informed`, `learning`): from ``order`` of `controller_numbers`.
 
 1. Into the row of `synthesis.informed.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
    limit of the section ``steering``, NaN where it has none; ``given``: what a caller believes of lag and dead time.

@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
-from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
@@ -35,7 +35,7 @@ from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
 from adaptrack.core.synthesis.informed import Constants, Order, Parts
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
-from adaptrack.export.page_inputs import car_fields, tyre_numbers
+from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import GENERATED, ROADS, TESTS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
@@ -53,7 +53,6 @@ RECORDS = (
 KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
-    "informed-nn": "knows its car, scheduled by networks", "informed-anfis": "knows its car, scheduled by ANFIS",
     "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
 }  # fmt: skip
 """Controllers of the page, and what they are."""
@@ -69,7 +68,7 @@ LONGEST_DEAD_TIME = 1.2
 
 def page_data() -> dict[str, Any]:
     """All of it."""
-    return _plain({
+    return plain({
         "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
@@ -77,22 +76,11 @@ def page_data() -> dict[str, Any]:
         "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
         "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in KINDS},
-        "schedules": {name: image(load_scheduler(name).plan(1)) for name in _schedules()},
+        "schedules": {name: image(load_scheduler(name).plan(1)) for name in ("road-nn", "road-anfis")},
         "roads": {name: _road(name) for name in ROADS}, "tests": {name: _test(name) for name in TESTS},
         "places": {"signal": SIGNAL._asdict(), "state": STATE._asdict(), "input": INPUT._asdict(),
                    "plan": PLAN._asdict(), "slots": SLOTS, "states": STATES},
     })  # fmt: skip
-
-
-def _plain(value: Any) -> Any:
-    """As JSON has it."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return "NaN" if math.isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _sizes() -> dict[str, int]:
@@ -104,17 +92,6 @@ def _sizes() -> dict[str, int]:
         "turning_lag": Turning._fields.index("lag"), "estimator": size_of(kalman.Numbers),
         "learner": size_of(learning.Numbers), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
         "most_Nc": min(40, int(CONTROL_HORIZON.most)),
-    }  # fmt: skip
-
-
-def page_car(made: Vehicle) -> dict[str, Any]:
-    """A car as the page reads it from a file."""
-    sections = ("steering", "body", "known_within", "domain")
-    return {
-        "name": made.name, "description": made.description,
-        "numbers": {key: value for key, value in made.model_dump().items() if isinstance(value, float)},
-        **{key: None if getattr(made, key) is None else getattr(made, key).model_dump() for key in sections},
-        "tyre": {"name": made.tyre, "numbers": tyre_numbers(load_tyre(made.tyre))},
     }  # fmt: skip
 
 
@@ -147,16 +124,11 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
         }
     plain = kind if law else base
     made, numbers = controller_of({"kind": plain}, load_vehicle("paper"), known), controller_numbers(plain, profile)
-    schedule = {"published": f"road-{scheduled}", "informed": f"informed-road-{scheduled}"}.get(base)
     return {
-        **numbers, "words": KINDS[kind], "schedule": schedule if scheduled and not law else None,
+        **numbers, "words": KINDS[kind], "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
         "diagnostics": list(made.diagnostic_names), "tuning_names": list(made.tuning_names),
         "usual": dict(zip(made.tuning_names, made.packed_tuning().tolist(), strict=True)),
     }  # fmt: skip
-
-
-def _schedules() -> list[str]:
-    return [f"{base}road-{kind}" for base in ("", "informed-") for kind in ("nn", "anfis")]
 
 
 def _road(name: str) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from adaptrack.base.files import write_atomically
 from adaptrack.base.html import content_policy
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.export.page_data import KINDS, page_data
+from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_kernels import page_kernels
 from adaptrack.export.page_setup import ROADS
 from adaptrack.road.points import read_points
@@ -92,7 +93,7 @@ def export_page(
         Of the simulated world: "paper", "road", "production".
     controllers : names
         One, or two side by side: "informed", "learning", "published", "published-nn", "published-anfis",
-        "informed-nn", "informed-anfis", "pure-pursuit", "stanley", "lqr".
+        "pure-pursuit", "stanley", "lqr".
     seed : int
         Of the sensors' noise.
 
@@ -122,7 +123,7 @@ def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
     if isinstance(vehicle, str) and vehicle in list_vehicles():
         return {"name": vehicle}
     known = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
-    return {"file": known.model_dump(mode="json", exclude_none=True)}
+    return {"file": page_car(known)}
 
 
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:

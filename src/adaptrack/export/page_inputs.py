@@ -1,15 +1,15 @@
-"""What a page may be given, from the records that check it here: keys, units, ranges, defaults, names of columns.
+"""Cars as the page saves and reads them, and the keys, ranges, defaults and columns by which it checks its input.
 
-`page/inputs.js` reads car files and points by it; so no range and no name is written twice.
+`page/inputs.js` reads cars and points by it, so no range and no name is written twice.
 """
 
 from __future__ import annotations
 
 import math
-import re
 import typing
 from typing import Any, Literal
 
+import numpy as np
 from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
@@ -17,7 +17,7 @@ from adaptrack.base.files import Record
 from adaptrack.cars import data_sheet
 from adaptrack.cars.domain import MOST, Domain
 from adaptrack.cars.known_within import KnownWithin
-from adaptrack.cars.vehicle import FASTEST_RATE, Body, Steering, Tyre, Vehicle, list_tyres, load_tyre
+from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.core import path
 from adaptrack.core.synthesis import car, plant
 from adaptrack.road.points import COLUMN_UNITS, COLUMNS, DEGREES, NAME, WITHOUT_HEADER
@@ -30,9 +30,7 @@ SECTIONS: dict[str, type[Record]] = {
     "domain": Domain,
     "tyre": Tyre,
 }
-"""Sections of a car file; of the tyre's own file, which a page takes as a section as well."""
-LARGEST = {"car file": 1_000_000, "csv": 20_000_000}
-"""bytes of a file"""
+"""Sections of a car file, and the tyre's own file."""
 MOST_POINTS = 20_000
 DRIVE = {
     "time": "time", "command": "command", "wheel": "wheel_angle", "speed": "vx", "yaw_rate": "yaw_rate", "vy": "vy",
@@ -42,8 +40,8 @@ DRIVE = {
 ANSWERS = {
     "complete_car": {name: getattr(car, name) for name in (
         "COMPLETE", "MASS_OUTSIDE", "WHEELBASE_OUTSIDE", "TOO_MUCH_LOAD", "AXLES_DISAGREE")},
-    "car_flaw": {name: getattr(car, name) for name in ("ONE_CAR", "INERTIA_ODD", "FRONT_ODD", "REAR_ODD")},
-    "overhangs": {name: getattr(plant, name) for name in ("HOLDS", "AXLE_OUTSIDE", "LENGTH_DISAGREES")},
+    "car_flaw": {"ONE_CAR": car.ONE_CAR},
+    "overhangs": {"HOLDS": plant.HOLDS},
     "path_through": {name: getattr(path, name) for name in (
         "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TOO_SHORT", "KINK", "TOO_SMALL")},
 }  # fmt: skip
@@ -58,24 +56,21 @@ def car_fields() -> dict[str, Any]:
 
     ``sections``: by name, of the car's own numbers ``""``, a list of tables: ``key``; ``kind``: number, text, texts,
     choice, range (two numbers that rise); ``row``: its name in the row of a kernel; ``words``: of a choice, whose
-    number is its place; ``unit``; ``meaning``; ``allowed``: in words; ``bounds``: gt, ge, lt, le, those there are;
-    ``infinite``: whether inf is a number here; ``required``; ``default``, None: what is left out is not known.
-    ``tyres``: by name, numbers as in `synthesis.plant.Tyre`. ``sheet``: ranges of mass (kg) and wheelbase (m), body
-    styles. ``flaws``: bounds of ratios that kernels judge. ``points``: how a road is given. ``drive``:
-    `DRIVE`. ``answers``: `ANSWERS`. ``largest``: bytes of a file.
+    number is its place; ``meaning``, with the unit; ``allowed``: in words; ``bounds``: gt, ge, lt, le, those there are;
+    ``required``; ``default``, None: what is left out is not known.
+    ``tyre``: of the car of a data sheet, as in `page_car`. ``sheet``: ranges of mass (kg) and wheelbase (m), body
+    styles. ``points``: how a road is given. ``drive``: `DRIVE`. ``answers``: `ANSWERS`.
     """
     sections = {name: [_field(name, key, each) for key, each in kind.model_fields.items() if not _is_section(each)]
                 for name, kind in SECTIONS.items()}  # fmt: skip
     return {
         "sections": sections,
         "most": MOST,
-        "fastest_rate": FASTEST_RATE,
-        "tyres": {name: tyre_numbers(load_tyre(name)) for name in list_tyres()},
+        "tyre": _tyre(load_tyre(Vehicle.model_fields["tyre"].default)),
         "sheet": {
             "mass": list(data_sheet.MASSES), "wheelbase": list(data_sheet.WHEELBASES),
             "body_styles": list(data_sheet.BODY_STYLES),
         },
-        "flaws": {"inertias": list(car.INERTIAS), "stiffnesses": list(car.STIFFNESSES), "matching": plant.MATCHING},
         "points": {
             "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
             "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
@@ -84,8 +79,33 @@ def car_fields() -> dict[str, Any]:
         },
         "drive": DRIVE,
         "answers": ANSWERS,
-        "largest": LARGEST,
     }  # fmt: skip
+
+
+def page_car(vehicle: Vehicle, tyre: Tyre | None = None) -> dict[str, Any]:
+    """A car as the page saves and reads it, plain data for JSON; tyre: instead of the one that the car names."""
+    sections = ("steering", "body", "known_within", "domain")
+    return plain({
+        "name": vehicle.name, "description": vehicle.description,
+        "numbers": {key: value for key, value in vehicle.model_dump().items() if isinstance(value, float)},
+        **{key: None if getattr(vehicle, key) is None else getattr(vehicle, key).model_dump() for key in sections},
+        "tyre": _tyre(tyre or load_tyre(vehicle.tyre)),
+    })  # fmt: skip
+
+
+def _tyre(tyre: Tyre) -> dict[str, Any]:
+    return {"name": tyre.name, "numbers": tyre_numbers(tyre)}
+
+
+def plain(value: Any) -> Any:
+    """Data as JSON has it: lists for tuples, text for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def tyre_numbers(tyre: Tyre) -> dict[str, Any]:
@@ -105,10 +125,9 @@ def _field(section: str, key: str, field: FieldInfo) -> dict[str, Any]:
     meaning, default = field.description or "", field.get_default(call_default_factory=True)
     made = {
         "key": key, "kind": _kind(field.annotation, kind), "row": _ROWS.get((section, key), key),
-        "unit": _unit(meaning), "meaning": meaning, "allowed": allowed(field),
+        "meaning": meaning, "allowed": allowed(field),
         "required": field.is_required() and key != "name",
-        "default": None if field.is_required() or default is None else _plain(default),
-        "infinite": any(getattr(each, "allow_inf_nan", False) for each in field.metadata),
+        "default": None if field.is_required() or default is None else plain(default),
         "bounds": {
             bound: getattr(each, bound) for bound in _BOUNDS for each in field.metadata
             if getattr(each, bound, None) is not None
@@ -127,17 +146,3 @@ def _kind(annotation: Any, kind: Any) -> str:
     if typing.get_origin(annotation) is Literal:
         return "choice"
     return "range" if typing.get_args(annotation) == (float, float) else "texts"
-
-
-def _unit(meaning: str) -> str:
-    """What a description begins with, where it names a unit; else nothing."""
-    return next((unit for unit in _UNITS if re.match(f"{re.escape(unit)}(?![a-z^/])", meaning)), "")
-
-
-_UNITS = (
-    "kg m^2", "kg/m^3", "kg", "m^2", "m/s", "m", "s", "N/rad", "N", "W", "rad/s", "rad", "1/rad", "-",
-)  # fmt: skip
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

@@ -133,8 +133,6 @@ def controller_of(given: Mapping[str, Any], car: Vehicle, profile: Profile) -> C
     options: dict[str, Any] = {"belief": at.Steering(**said)} if said else {}
     if kind == "learning":
         options["learning"] = Learning()
-    elif kind.startswith("informed-"):
-        options["scheduler"] = load_scheduler(f"informed-road-{scheduled}")
     elif kind != "informed":
         raise InvalidInput(f"controller {kind!r}: there is none of this kind.")
     return MPC(car, tuning, profile=profile, **options)

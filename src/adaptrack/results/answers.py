@@ -128,27 +128,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-# -- manoeuvres -------------------------------------------------------------------------------------------------------
-OPEN_LOOP = {
-    "steady-circle": "It understeers by {understeer_gradient_2} °/g at 2 m/s² and by {understeer_gradient_4} °/g at "
-    "4 m/s², and holds {highest_lateral_acceleration} m/s².",
-    "step-steer": "After a step of the steering the yaw rate responds in {yaw_response_time} s, the lateral "
-    "acceleration in {acceleration_response_time} s.",
-    "frequency-response": "The yaw rate follows the steering up to {yaw_bandwidth} Hz, {yaw_delay_1hz} s late at 1 Hz.",
-    "sine-with-dwell": "{verdict}: {passed_runs} of {runs} runs meet the criteria.",
-}
-"""By the manoeuvre's name, in the numbers of its summary."""
-
-
-def of_open_loop(name: str, summary: Mapping[str, Any]) -> str:
-    """What a manoeuvre says of the car; summary: its characteristic values."""
-    shown = {
-        key: "an unknown number of" if value is None or value != value else f"{value:.3g}"
-        for key, value in summary.items()
-    }
-    return OPEN_LOOP[name].format(**shown, verdict="Passed" if summary.get("passed") else "Failed")
-
-
+# -- lane changes -----------------------------------------------------------------------------------------------------
 def of_lane_changes(rows: Sequence[Row]) -> str:
     """The controller with the highest clean entry speed on each car, and the others; rows: of `EntrySpeed.row`."""
     sentences = []
@@ -161,19 +141,6 @@ def of_lane_changes(rows: Sequence[Row]) -> str:
         named = "".join(f"; {name} to {clean[name]:.0f}" for name in others[:MOST_NAMED])
         sentences.append(f"{car} with {best}: clean up to {clean[best]:.0f} km/h{named}.")
     return "\n".join(sentences)
-
-
-def of_starts(rows: Sequence[Row]) -> str:
-    """Which controllers pass a test that starts beside the path; rows: of `LaneRun.row`."""
-    passed = [row for row in rows if row["passed"]]
-    if not passed:
-        return f"None of {len(rows)} passed." if len(rows) > 1 else "Not passed."
-    settled = [row for row in passed if row["settling_time"] is not None]  # None: not within the time that was driven
-    if not settled:
-        return f"{len(passed)} of {len(rows)} passed; none settles within the time that was driven."
-    best = min(settled, key=lambda row: row["settling_time"])
-    found = f"{best['vehicle']} with {best['controller']} settles in {best['settling_time']:.3g} s"
-    return f"{len(passed)} of {len(rows)} passed; {found}."
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------

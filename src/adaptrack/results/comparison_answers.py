@@ -119,7 +119,7 @@ def best_schedule(made: Comparison) -> str | None:
 
 def best_constant(made: Comparison) -> str:
     """The cheapest contender that keeps one tuning, of the same controller as the schedules; else the reference."""
-    kinds = ("default constant", "best constant", "standard")
+    kinds = ("best constant", "standard")
     return min(
         made.of_kind(*kinds), key=lambda contender: made.mean_ratio(contender, made.reference), default=made.reference
     )

@@ -31,7 +31,6 @@ NAMES = {
     "standard": ("Standard MPC", "the standard MPC", "the tuning of the paper's table, for everything."),
     "paper recipe nn": ("NN, paper's recipe", "the paper's recipe for NN", "learned the swarms' best tunings."),
     "paper recipe anfis": ("ANFIS, paper's recipe", "the paper's recipe for ANFIS", "likewise."),
-    "default constant": ("Default constant", "the default constant", "the tuning that the controller has by itself."),
     "published": (
         "Published",
         "the published controller",

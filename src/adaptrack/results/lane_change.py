@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptrack.base.result import BACKGROUND, SERIES, Axis, Dots, Mark, Panel, Picture, Polygon, Polyline, Stroke
-from adaptrack.comparison.manoeuvres import EntrySpeed
+from adaptrack.comparison.entry_speed import EntrySpeed
 from adaptrack.results.words import data_text
 
 BEFORE, BEHIND = 12.0, 14.0

@@ -25,7 +25,6 @@ from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.drive.failure import Failure
-from adaptrack.learning.adaptation.for_car import HARD_DEMAND, hard_speeds
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import Swarm, SwarmSettings
@@ -38,6 +37,8 @@ _log = logging.getLogger("adaptrack")
 FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
 """Numbers of the first random drive of the search and of the judgement: nothing else has them."""
 NOISE_SOUGHT, NOISE_JUDGED = 5_001, 5_002
+HARD_SPEEDS, HARD_DEMAND = 0.57, (0.2, 0.35)
+"""Share of the range of speeds above which hard drives are; share of the grip that their roads ask for."""
 
 
 @checked
@@ -303,10 +304,12 @@ class _Bench:
 def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]:
     """Mixed drives and hard ones."""
     first = FIRST_SOUGHT + 1000 * seed
+    slow, fast = bench.domain.speed
+    hard_speeds = (slow + HARD_SPEEDS * (fast - slow), fast)
     hard = range(first + 500, first + 500 + effort.hard_drives)
     return [
         bench.drives(range(first, first + effort.drives), effort.seconds),
-        bench.drives(hard, effort.seconds, speed=hard_speeds(bench.domain), demand=HARD_DEMAND),
+        bench.drives(hard, effort.seconds, speed=hard_speeds, demand=HARD_DEMAND),
     ]
 
 

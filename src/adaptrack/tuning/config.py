@@ -10,7 +10,6 @@ import math
 import os
 import socket
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -21,14 +20,13 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import AdaptrackError, UnknownName, did_you_mean
+from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, Record, build, printable, read_toml
 from adaptrack.base.limits import LANDSCAPE, NOISE_SEEDS, check_limit
 from adaptrack.base.registry import import_plugin
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.control.controllers import Tuning
-from adaptrack.control.controllers.informed import informed_tuning
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, Failure
 from adaptrack.scenario.profile import list_profiles, load_profile
 from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
@@ -218,15 +216,8 @@ class FailureRule(Record):
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------
-Controlled = Literal["informed", "as-written"]
-"""Controllers whose tuning is sought, by the names of `controllers.registry`."""
-
-
 class CampaignConfig(Record):
-    """A campaign: at every operating point one particle swarm, and the cost of every tuning of a common library.
-
-    Without bounds of its own the search of the informed controller is `Search.around` its constant tuning.
-    """
+    """A campaign: at every operating point one particle swarm, and the cost of every tuning of a common library."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits, . _ -; the data set is called so"
@@ -242,9 +233,6 @@ class CampaignConfig(Record):
     tyre: str | None = Field(default=None, description="name, or .toml file beside this one; by default the vehicle's")
     profile: str = Field(
         description="name, or .toml file beside this one; paper: ideal; road, production: steering lag, noise, delay"
-    )
-    controller: Controlled = Field(
-        default="informed", description="whose tuning is sought; informed: it knows its car; as-written: the paper's"
     )
     scenario: Literal["step", "lane-change"] = Field(
         description="step: constant reference y_ref and wind; lane-change: smooth, with a gust"
@@ -268,15 +256,6 @@ class CampaignConfig(Record):
     library: TuningLibrary = Field(
         default_factory=TuningLibrary, description="tunings whose cost is found at every operating point"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _searches_around_its_constant(cls, values: Any) -> Any:
-        if not isinstance(values, Mapping) or "search" in values or values.get("controller", "informed") != "informed":
-            return values
-        with suppress(AdaptrackError, TypeError):  # an unknown profile is refused below
-            return {**values, "search": Search.around(informed_tuning(values.get("profile", "")))}
-        return values
 
     @field_validator("profile")
     @classmethod
@@ -304,19 +283,12 @@ class CampaignConfig(Record):
         """Whether the profile has sensor noise."""
         return any(load_profile(self.profile).noise)
 
-    def driven_by(self, controller: str | None = None, profile: str | None = None) -> Self:
-        """The same for another controller or profile, None: its own; the name says so.
-
-        For another controller, bounds and library of the tunings are the defaults: they belong to a controller.
-        """
-        changes = {key: value for key, value in (("controller", controller), ("profile", profile)) if value is not None}
-        changes = {key: value for key, value in changes.items() if value != getattr(self, key)}
-        if not changes:
+    def in_profile(self, profile: str | None = None) -> Self:
+        """The same campaign in a profile, None: its own; the name contains the other profile."""
+        if profile in (None, self.profile):
             return self
-        belonging = {"search", "library"} if "controller" in changes else set()
-        values = {key: value for key, value in self if key in self.model_fields_set - belonging}
-        suffix = "-".join(Path(value).stem for value in changes.values())
-        return type(self)(**{**values, **changes, "name": f"{self.name}-{suffix}"})
+        values = {key: value for key, value in self if key in self.model_fields_set}
+        return type(self)(**{**values, "profile": profile, "name": f"{self.name}-{Path(str(profile)).stem}"})
 
     def settled(self) -> Self:
         """A copy in which every value that may be left out has been given."""
@@ -406,7 +378,7 @@ def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
     except UnknownName as error:
         raise UnknownName(
             f"{error} A plant of one's own is registered by a Python module that every worker can import: name it in "
-            "the campaign's key plugin (adapt CAR: --plugin MODULE)."
+            "the campaign's key plugin."
         ) from None
 
 
@@ -482,11 +454,8 @@ class Plan:
         driven = self.setup.searched_on
         if not isinstance(driven, SingleTrack | DualTrack):
             values["plant_fingerprint"] = fingerprint(driven)
-        unused = {"description", "tyre", "body", "domain", "estimated"}
-        if self.config.controller == "as-written":
-            unused |= {"steering", "known_within"}
-        elif self.setup.vehicle.known_within is None:
-            unused |= {"known_within"}
+        values["controller"] = "as-written"  # part of the identity of every data set that exists
+        unused = {"description", "tyre", "body", "domain", "estimated", "steering", "known_within"}
         values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude=unused)
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
         if self.config.profile not in list_profiles():

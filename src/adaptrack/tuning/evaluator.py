@@ -20,13 +20,11 @@ Array = NDArray[np.float64]
 
 
 def tuned_mpc(setup: Setup, tuning: Tuning | None = None, **options: Any) -> MPC:
-    """The MPC whose tuning a campaign seeks, for its car and in its profile, by default with its constant tuning.
+    """The paper's MPC for a campaign's car and profile, by default with the paper's tuning.
 
     options: of `MPC`.
     """
-    config, profile = setup.config, load_profile(setup.config.profile)
-    if config.controller == "informed":
-        return MPC(setup.vehicle, tuning, profile=profile, **options)
+    profile = load_profile(setup.config.profile)
     return published_mpc(setup.vehicle, tuning, period=profile.period, preview=profile.preview, **options)
 
 

@@ -10,8 +10,6 @@ from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 
 INCREMENTAL = "incremental"
 """What the files of schedulers call the paper's model and estimator."""
-INFORMED = "path, kalman"
-"""And those of the informed controller, see `MPC.kind_of_model`."""
 
 _MODEL = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear")
 
@@ -54,7 +52,7 @@ def mismatches(made_for: Any, model: str, car: str | None, profile: str | None, 
         if here is not None and named.get(what) not in (None, here):
             found.append(
                 f"was made for the {what} {named[what]!r}, not {here!r}: leave it out, or make one for it "
-                "(`adaptrack adapt`)"
+                "(`adaptrack adaptation`)"
             )
     return found
 

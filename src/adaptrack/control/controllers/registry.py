@@ -40,7 +40,6 @@ _SHIPPED: dict[str, tuple[str, About]] = {
         "control.variants:learning_from_sheet",
         About("the same, with nothing known but mass and wheelbase, learning while it drives", ours=True),
     ),
-    "informed-nn": ("control.variants:informed_nn", About("the same, scheduled by networks", tunable=False, ours=True)),
     "as-written": ("control.controllers.published:published_mpc", About("MPC of the paper, as written")),
     "as-released": (
         "control.controllers.published:released_mpc",

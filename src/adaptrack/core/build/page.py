@@ -8,7 +8,7 @@ CALLED = (
     # roads
     "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
     # cars and plants
-    "complete_car", "car_flaw", "static_loads", "outline_of", "overhangs", "plant_parameters", "plant_substeps",
+    "complete_car", "car_flaw", "outline_of", "overhangs", "plant_parameters", "plant_substeps",
     "plant_law", "dead_periods", "steering_delay",
     # controllers
     "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",

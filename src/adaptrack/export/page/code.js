@@ -4,7 +4,7 @@
 //   setUpOut()                  buttons, and the code that follows the settings
 //   pythonOf(setup), commandOf(setup)     text
 
-const SCHEDULES = {"published-nn": "road-nn", "published-anfis": "road-anfis", "informed-nn": "informed-road-nn", "informed-anfis": "informed-road-anfis"};
+const SCHEDULES = {"published-nn": "road-nn", "published-anfis": "road-anfis"};
 const given = value => value !== null && value !== undefined;
 const pythonNumber = value => Number.isFinite(value) ? String(+(+value).toPrecision(12)) : "float('inf')";
 const text = value => JSON.stringify(String(value));
@@ -74,7 +74,6 @@ function pythonController({kind, tuning, belief}) {
   if (kind.startsWith("published")) return `at.published_mpc(car${tuned}, ${loop}${schedule})`;
   if (kind === "learning") return `at.MPC(car${tuned}, ${profile}, learning=at.Learning())`;
   if (kind === "informed") return `at.MPC(car${tuned}, ${profile}${believed}, learning=None)`;
-  if (SCHEDULES[kind]) return `at.MPC(car${tuned}, ${profile}${believed}${schedule})`;
   return `${{"pure-pursuit": "at.PurePursuit", stanley: "at.Stanley", lqr: "at.LQR"}[kind]}(car, ${loop})`;
 }
 
@@ -129,13 +128,22 @@ async function saveCsv(i) {
   const {history} = page.drive, car = history.cars[i];
   const columns = Object.fromEntries(car.names.map(name => [name, car.columns[name].slice(0, car.count)]));
   try {
-    const {text: content} = await page.engine.ask({type: "write", what: "csv", car: i, columns});
-    const link = Object.assign(document.createElement("a"), {href: URL.createObjectURL(new Blob([content], {type: "text/csv"})), download: `drive-${i + 1}.csv`});
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    const {text: content} = await page.engine.ask({type: "write", what: "csv", columns});
+    save(`drive-${i + 1}.csv`, content, "text/csv");
   } catch (error) {
     page.notice(`The drive could not be written: ${error.message}`);
   }
+}
+
+async function saveCar() {
+  const {car} = page.setup, {text: content} = await page.engine.ask({type: "write", what: "car", car});
+  save(`${car.name ?? car.file?.name ?? "my-car"}.json`, content, "application/json");
+}
+
+function save(name, content, type) {
+  const link = Object.assign(document.createElement("a"), {href: URL.createObjectURL(new Blob([content], {type})), download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 function showCode() {
@@ -154,6 +162,7 @@ function showCsvButtons() {
 
 function setUpOut() {
   for (const button of document.querySelectorAll("[data-copy]")) button.onclick = () => copy(byId(button.dataset.copy).textContent, button);
+  byId("save-car").onclick = saveCar;
   byId("copy-link").onclick = event => {
     const {hash, notes} = addressOf(page.setup, page.drive?.touches ?? []);
     copy(location.href.replace(/#.*$/, "") + hash, event.target);

@@ -6,7 +6,7 @@
 //   -> {type: "advance", id, periods}            <- {type: "frames", id, first, count, cars}
 //   -> {type: "change", id, car, what}           <- {type: "changed", id}
 //   -> {type: "read", id, what, text, name}     <- {type: "read", id, what, ...}; what: "car file", "csv": see inputs.js
-//   -> {type: "write", id, what: "csv", columns} <- {type: "written", id, text}
+//   -> {type: "write", id, what: "csv", columns; what: "car", car}               <- {type: "written", id, text}
 //   -> {type: "memory", id}                      <- {type: "memory", id, bytes, all}
 //   -> anything that cannot be                   <- {type: "refused", id, message, where}
 //
@@ -446,8 +446,7 @@ function sensors(cars, given) {
 
 // -- reading and writing ----------------------------------------------------------------------------------------------
 const READERS = {
-  "car file": ({ text, name, others }) =>
-    ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs, { name, others })) }),
+  "car file": ({ text }) => ({ car: readBy("car", () => inputs.readCarFile(text, written.inputs)) }),
   csv: ({ text, name, closed }) => {
     const { points, ...road } = readBy("road", () => inputs.readPoints(text, written.inputs, { name, closed }));
     return { ...road, points: Array.from({ length: points.length / 2 }, (_, k) => [points[2 * k], points[2 * k + 1]]) };
@@ -458,10 +457,16 @@ function read(message) {
   if (!reader) throw new Refusal("read", `Nothing is known of reading “${message.what}”.`);
   return [{ type: "read", id: message.id, what: message.what, ...reader(message) }];
 }
-/** A drive as text: columns are those of its frames, one behind the other. */
-function write({ id, what, columns }) {
-  const count = Math.max(0, ...Object.values(columns).map((each) => each.length));
-  return [{ type: "written", id, what, text: inputs.writeDrive({ cars: [{ columns, count }] }, 0, written.inputs) }];
+/** Text of a file: a drive, whose columns are those of its frames, one behind the other; a car. */
+const WRITERS = {
+  csv: ({ columns }) => {
+    const count = Math.max(0, ...Object.values(columns).map((each) => each.length));
+    return inputs.writeDrive({ cars: [{ columns, count }] }, 0, written.inputs);
+  },
+  car: ({ car }) => savedCar(car),
+};
+function write(message) {
+  return [{ type: "written", id: message.id, what: message.what, text: WRITERS[message.what](message) }];
 }
 
 // -- messages ---------------------------------------------------------------------------------------------------------

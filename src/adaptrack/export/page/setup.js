@@ -11,13 +11,11 @@ const MOST_DRAWN = 100;  // points of a drawn road, all of which a link holds
 const CONTROLLERS = {
   informed: "an MPC that knows its car", learning: "an MPC that learns its car", published: "the paper’s MPC",
   "published-nn": "the paper’s MPC scheduled by a network (NN)", "published-anfis": "the paper’s MPC scheduled by fuzzy rules (ANFIS)",
-  "informed-nn": "an MPC that knows its car, with a network (NN)", "informed-anfis": "an MPC that knows its car, with fuzzy rules (ANFIS)",
   "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "an LQR",
 };
 const SHORT = {
   informed: "knows its car", learning: "learns its car", published: "paper’s MPC", "published-nn": "paper’s MPC + NN",
-  "published-anfis": "paper’s MPC + ANFIS", "informed-nn": "knows its car + NN", "informed-anfis": "knows its car + ANFIS",
-  "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "LQR",
+  "published-anfis": "paper’s MPC + ANFIS", "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "LQR",
 };
 const TESTS = {"triple-lane-change": "the paper’s triple lane change", "general-trajectory": "the paper’s general trajectory"};
 const CARS = {
@@ -115,7 +113,7 @@ function setUpChoosing() {
   for (const i of [0, 1]) byId(`setup-controller-${i}`).onchange = event => chooseController(i, event.target.value);
   byId("again").onclick = () => choose({});
   byId("sheet-drive").onclick = chooseSheet;
-  byId("car-file").onchange = event => takeFiles(event.target.files, "car");
+  byId("car-file").onchange = event => takeFile(event.target.files[0], "car");
   byId("road-file").onchange = event => takeFile(event.target.files[0], "road");
   listenForDrops();
   setUpDrawing();
@@ -184,43 +182,38 @@ function listenForDrops() {
     if (!carries(event)) return;
     event.preventDefault();
     mark(-Infinity);
-    takeFiles(event.dataTransfer.files, "");
+    takeFile(event.dataTransfer.files[0], "");
   });
 }
 
 const megabytes = bytes => `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
 
-// Files that come together: a car may have the file of its tyre beside it; the one that says a mass is the car.
-async function takeFiles(files, what) {
-  const small = [...files].filter(file => file.size <= MOST_BYTES && /\.toml$/i.test(file.name));
-  const others = small.length < 2 ? {}
-    : Object.fromEntries(await Promise.all(small.map(async file => [file.name, await file.text()])));
-  const car = small.find(file => /^[ \t]*mass[ \t]*=/m.test(others[file.name] ?? ""));
-  await takeFile(car ?? files[0], what, others);
-}
-
-// A file that was chosen or dropped: a car (.toml) or a road (anything else, as CSV).
-async function takeFile(file, what, others = {}) {
+// A file that was chosen or dropped: a car (.json) or a road (anything else, as CSV).
+async function takeFile(file, what) {
   if (!file) return;
-  const kind = what || (/\.toml$/i.test(file.name) ? "car" : "road");
+  const name = file.name.replace(/\.[^.]*$/, ""), kind = what || (/\.json$/i.test(file.name) ? "car" : "road");
+  if (/\.toml$/i.test(file.name)) {
+    page.notice(`${file.name}: write the car as JSON with “adaptrack car ${file.name} --json > ${name}.json”, and give that file.`);
+    return;
+  }
   if (file.size > MOST_BYTES) {
     page.notice(`${file.name} has ${megabytes(file.size)}: at most ${megabytes(MOST_BYTES)} are read. ` +
       (kind === "car" ? "A car file has a few kB." : "Take fewer points: one every metre is plenty."));
     return;
   }
   try {
-    await takeText(await file.text(), kind, file.name.replace(/\.[^.]*$/, ""), file.name, others);
+    await takeText(await file.text(), kind, name);
   } catch (error) {
     page.notice(`${file.name}: ${asSentence(error.message)}`);
   }
 }
 
-async function takeText(text, kind, name, file, others) {
+async function takeText(text, kind, name) {
   if (kind === "car") {
-    const {car} = await page.engine.ask({type: "read", what: "car file", text, name, file, others});
-    await choose({car: {file: {...car, name}}});
+    const {car} = await page.engine.ask({type: "read", what: "car file", text});
+    await choose({car: {file: car}});
   } else {
-    const {points, closed} = await page.engine.ask({type: "read", what: "csv", text, name, file});
+    const {points, closed} = await page.engine.ask({type: "read", what: "csv", text, name});
     await choose({road: {points, closed: Boolean(closed), name}});
   }
 }

@@ -27,8 +27,8 @@ const SENSORS = {
 const PUSH = 1.0, MOST_PUSH = 3;  // m/s sideways
 const PULL = {angle: 2 * Math.PI / 180, duration: 1};
 const ICE = {behind: 12, length: 40, friction: 0.2};  // m ahead of the car
-const PREDICTS = new Set(["informed", "learning", "published", "published-nn", "published-anfis", "informed-nn", "informed-anfis"]);
-const BELIEVES = new Set(["informed", "informed-nn", "informed-anfis"]);
+const PREDICTS = new Set(["informed", "learning", "published", "published-nn", "published-anfis"]);
+const BELIEVES = "informed";  // the kind whose belief about the steering can be set
 const SCHEDULED = kind => /-(nn|anfis)$/.test(kind);
 
 let chosenCar = 0;  // whose belief and tuning the sliders set
@@ -49,7 +49,7 @@ function trueValue(name) {
 
 function believedValue(name, i) {
   const controller = page.setup.controllers[i];
-  if (!controller || !BELIEVES.has(controller.kind)) return null;
+  if (!controller || controller.kind !== BELIEVES) return null;
   return controller.belief?.[name] ?? steeringOf(page.setup.profile)[name] ?? null;
 }
 
@@ -68,7 +68,7 @@ function valueOf(slider) {
 function unused({kind}) {
   const controller = controllerNow();
   if (kind === "belief" && controller.kind === "learning") return "It learns this by itself: see the plot of its belief.";
-  if (kind === "belief" && !BELIEVES.has(controller.kind)) return "This controller has no belief about the steering.";
+  if (kind === "belief" && controller.kind !== BELIEVES) return "This controller has no belief about the steering.";
   if (kind === "tuning" && !PREDICTS.has(controller.kind)) return "This controller has no horizon and no weights.";
   if (kind === "tuning" && SCHEDULED(controller.kind)) return "The schedule chooses this.";
   return "";
@@ -146,7 +146,7 @@ function slide(slider, value) {
 // Who is told of every change believes what is true.
 function tellController(i, name) {
   const controller = page.setup.controllers[i];
-  if (!controller.told || !BELIEVES.has(controller.kind) || !(name in {lag: 0, dead_time: 0})) return;
+  if (!controller.told || controller.kind !== BELIEVES || !(name in {lag: 0, dead_time: 0})) return;
   controller.belief = {lag: trueValue("lag"), dead_time: trueValue("dead_time")};
   send({car: i, what: {belief: {...controller.belief}}, said: {key: `told-${i}`}});
   SLIDERS.filter(({kind}) => kind === "belief").forEach(showSlider);
@@ -156,8 +156,8 @@ const controllerNow = () => page.setup.controllers[chosenCar] ?? page.setup.cont
 
 function showTold() {
   const {kind, told} = controllerNow();
-  byId("told").checked = Boolean(told) && BELIEVES.has(kind);
-  byId("told").disabled = !BELIEVES.has(kind);
+  byId("told").checked = Boolean(told) && kind === BELIEVES;
+  byId("told").disabled = kind !== BELIEVES;
 }
 
 function makeTold() {

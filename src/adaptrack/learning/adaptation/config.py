@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +14,9 @@ from pydantic import Field, model_validator
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
-from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.learning.adaptation.method import Method
-from adaptrack.tuning.config import CampaignConfig, Controlled, Pair, Plan, load_campaign
-from adaptrack.tuning.evaluator import tuned_mpc
+from adaptrack.tuning.config import CampaignConfig, Pair, load_campaign
 
 Array = NDArray[np.float64]
 
@@ -119,7 +116,6 @@ class AdaptationConfig(Record):
     campaign: str = Field(
         description="name, or .toml file beside this one; its operating points must be a Sobol sample"
     )
-    controller: Controlled | None = Field(default=None, description="instead of the campaign's: informed, as-written")
     profile: str | None = Field(
         default=None, description="instead of the campaign's: name, or .toml file beside this one"
     )
@@ -135,48 +131,14 @@ class AdaptationConfig(Record):
 
 
 def campaign_of(config: AdaptationConfig) -> CampaignConfig:
-    """The campaign of an adaptation, for its controller and its profile.
+    """The campaign of an adaptation, in its profile.
 
     Raises
     ------
     AdaptrackError
         As `load_campaign`.
     """
-    return load_campaign(config.campaign).driven_by(config.controller, config.profile)
-
-
-def around(constant: Tuning) -> dict[str, Any]:
-    """The numbers of method and evaluation that follow from a controller's own constant tuning, by table and key.
-
-    Searches and learning begin there, with six decades of R/Q; the fallback has at least its R/Q. The tables' own
-    defaults are those of the paper's controller in the `road` profile.
-    """
-    horizon, moves, ratio = float(constant.Np), float(constant.Nc), constant.R / constant.Q
-    bounds = {"Np": [min(10.0, horizon), 60.0], "R": [1e-3 * ratio, 1e3 * ratio]}
-    return {
-        "method": {
-            "improvement": {**bounds, "start": [horizon, moves, math.log10(ratio)]},
-            "constants": {
-                **bounds,
-                "start": [constant.Np, constant.Nc, 1.0, ratio],
-                "fallback_ratio": math.floor(100.0 * math.log10(ratio)) / 100.0,
-            },
-        },
-        "evaluation": {
-            "hindsight_Np": [float(round(share * horizon)) for share in (0.65, 0.8, 1.0, 1.3)],
-            "hindsight_Nc": [float(max(1, round(share * moves))) for share in (0.5, 0.75, 1.0, 1.4)],
-            "hindsight_R": [share * ratio for share in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)],
-        },
-    }
-
-
-def _completed(data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """The data, and defaults where they say nothing; tables are merged."""
-    made = {**defaults, **data}
-    for key in set(data) & set(defaults):
-        if isinstance(data[key], Mapping) and isinstance(defaults[key], Mapping):
-            made[key] = _completed(data[key], defaults[key])
-    return made
+    return load_campaign(config.campaign).in_profile(config.profile)
 
 
 def list_adaptations() -> dict[str, str]:
@@ -184,33 +146,11 @@ def list_adaptations() -> dict[str, str]:
     return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
 
 
-def find_adaptation(controller: str = "informed", profile: str = "road") -> str:
-    """The name of the adaptation that ships for a controller in a profile.
-
-    Raises
-    ------
-    UnknownName
-        When none does: with those that do.
-    """
-    shipped = {name: campaign_of(load_adaptation(name)) for name in list_adaptations()}
-    for name, campaign in shipped.items():
-        if (campaign.controller, campaign.profile) == (controller, profile):
-            return name
-    choices = ", ".join(f"{name} ({each.controller}, {each.profile})" for name, each in shipped.items())
-    raise UnknownName(
-        f"no adaptation ships for controller {controller!r} in profile {profile!r}: there are {choices}. "
-        "Give one to start from with --config."
-    )
-
-
 @checked
-def load_adaptation(
-    name_or_path: str | os.PathLike[str], *, controller: str | None = None, profile: str | None = None
-) -> AdaptationConfig:
+def load_adaptation(name_or_path: str | os.PathLike[str], *, profile: str | None = None) -> AdaptationConfig:
     """The named configuration, or the one in a TOML file (keys: the fields of `AdaptationConfig`).
 
-    controller, profile: instead of those that it names; its own name then tells. What it leaves out of method and
-    evaluation is for its controller, see `around`.
+    profile: instead of the one that it names; the name of the configuration then contains it.
 
     Raises
     ------
@@ -233,28 +173,8 @@ def load_adaptation(
     for key in ("campaign", "profile"):
         if str(data.get(key, "")).endswith(".toml"):
             data[key] = str(path.parent / data[key])
-    own = build(AdaptationConfig, data, path)
-    before = campaign_of(own)
-    wanted = {"controller": controller or before.controller, "profile": profile or before.profile}
-    changes = {key: value for key, value in wanted.items() if value != getattr(before, key)}
-    if changes:
-        suffix = "-".join(Path(value).stem for value in changes.values())
-        data = _without_numbers({**data, **changes, "name": f"{own.name}-{suffix}"})
-        own = build(AdaptationConfig, data, path)
-    if wanted["controller"] == "as-written":
-        return own
-    constant = tuned_mpc(Plan.of(campaign_of(own)).setup).tuning
-    return build(AdaptationConfig, _completed(data, around(constant)), path)
-
-
-def _without_numbers(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the numbers of `around`, which belong to another controller or profile."""
-    left = {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
-    for table, numbers in around(Tuning()).items():
-        for key, value in numbers.items():
-            inner = left.get(table, {})
-            if isinstance(value, Mapping) and isinstance(inner.get(key), Mapping):
-                inner[key] = {name: each for name, each in inner[key].items() if name not in value}
-            else:
-                inner.pop(key, None)
-    return left
+    config = build(AdaptationConfig, data, path)
+    if profile in (None, campaign_of(config).profile):
+        return config
+    data |= {"profile": profile, "name": f"{config.name}-{Path(str(profile)).stem}"}
+    return build(AdaptationConfig, data, path)

@@ -19,7 +19,7 @@ from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import loop_map
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Tuning
-from adaptrack.control.controllers.made_for import INCREMENTAL, INFORMED
+from adaptrack.control.controllers.made_for import INCREMENTAL
 from adaptrack.control.scheduling import (
     ENTRIES,
     Constant,
@@ -313,8 +313,8 @@ def purpose_of(dataset: DataSet) -> dict[str, Any]:
     settings = dataset.provenance.get("settings", {})
     names = {"car": settings.get("vehicle"), "profile": settings.get("profile"), "tyre": settings.get("tyre")}
     known = {key: each["name"] if isinstance(each, Mapping) else each for key, each in names.items() if each}
-    controller = settings.get("controller", "as-written")  # data of before there was a choice are the paper's
-    model = {"as-written": INCREMENTAL, "informed": INFORMED}.get(controller, controller)
+    controller = settings.get("controller", "as-written")  # old data sets of the paper's controller do not name it
+    model = INCREMENTAL if controller == "as-written" else controller
     return {**known, "controller": {"kind": "MPC", "model": model}} if settings else {}
 
 

@@ -40,7 +40,7 @@ class SetUp:
     plant: Plant | SteppedPlant
     """what is tuned and learned on: the campaign's, or the car's twin where that one is costly"""
     mpc: MPC
-    """the campaign's controller, with the constant that the search begins with; the contenders choose its tuning"""
+    """the paper's controller, with the constant that the search begins with; the contenders choose its tuning"""
     driven: Plant | SteppedPlant
     """what an evaluation drives: the campaign's, unless `driving` says otherwise"""
 
@@ -103,11 +103,6 @@ class SetUp:
     def profile(self) -> str:
         """The name of the profile, or its file."""
         return self.campaign.profile
-
-    @property
-    def controller(self) -> str:
-        """The name of the controller: "informed", or "as-written" for the paper's."""
-        return self.campaign.controller
 
     @property
     def box(self) -> dict[str, tuple[float, float]]:

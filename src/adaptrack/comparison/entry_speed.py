@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.comparison.manoeuvres.lane_change import (
+from adaptrack.comparison.lane_change import (
     CleanSpeed,
     Clearance,
     Track,

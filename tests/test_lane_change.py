@@ -1,0 +1,238 @@
+"""Lane changes of ISO 3888: tracks and margins by hand, entry speeds and the command in closed loop."""
+
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from adaptrack import cli
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import get_plant
+from adaptrack.cars.vehicle import GRAVITY, load_vehicle
+from adaptrack.cli import manoeuvre
+from adaptrack.comparison.entry_speed import (
+    TUNING_SEEDS,
+    LaneChangeTest,
+    entry_speed,
+    refined_poses,
+    tune_for_track,
+    tunings_to_try,
+)
+from adaptrack.comparison.lane_change import (
+    Gate,
+    Track,
+    clearance,
+    coasting_plan,
+    driven_line,
+    highest_clean_speed,
+    iso_3888_1,
+    iso_3888_2,
+    track_road,
+)
+from adaptrack.control.controllers import get_controller
+from adaptrack.drive.simulate import rollout
+from adaptrack.road import Line, Road
+from adaptrack.scenario.profile import load_profile
+
+BOX = Outline(front=2.0, rear=2.0, width=1.8)
+LANE = Track("lane", (Gate(0.0, 10.0, -1.5, 1.5),))
+
+
+def straight(y, heading=0.0):
+    x = np.linspace(-10.0, 20.0, 61)
+    return x, y + (x - 5.0) * math.tan(heading), np.full(x.size, heading)
+
+
+class TestLaneChange:
+    def test_the_tracks_have_the_lengths_and_widths_of_the_standard(self):
+        one, two = iso_3888_1(1.8), iso_3888_2(1.8)
+        assert (one.length, two.length) == (125.0, 61.0)
+        assert [gate.width for gate in one.gates] == pytest.approx([2.23, 2.41, 2.59])
+        assert [gate.width for gate in two.gates] == pytest.approx([2.23, 2.8, 3.0])
+        assert two.gates[1].right - two.gates[0].left == pytest.approx(1.0)
+        assert one.gates[1].right - one.gates[0].right == pytest.approx(3.5)
+        assert iso_3888_2(2.4).gates[2].width == pytest.approx(1.3 * 2.4 + 0.25)
+        assert one.cones.shape == (12, 2)
+
+    def test_beside_the_middle_of_a_lane_the_margin_is_what_is_left(self):
+        assert clearance(LANE, BOX, *straight(0.0)).least == pytest.approx(0.6)
+        assert clearance(LANE, BOX, *straight(0.4)).least == pytest.approx(0.2)
+        beyond = clearance(LANE, BOX, *straight(-0.7))
+        assert beyond.least == pytest.approx(-0.1)
+        assert not beyond.clean
+
+    def test_a_straight_line_across_a_lane_passes_its_cones_at_their_distance_from_the_side(self):
+        heading = 0.2
+        cone = 1.5 * math.cos(heading) - 5.0 * math.sin(heading)  # (10, 1.5) from the line through (5, 0)
+        assert clearance(LANE, BOX, *straight(0.0, heading)).least == pytest.approx(cone - 0.9, abs=0.01)
+
+    def test_a_cone_between_the_corners_is_hit_by_the_side(self):
+        short = Track("short", (Gate(0.0, 1.0, -1.5, 1.5),))  # all corners are beyond it while the car turns
+        x, heading = np.array([-10.0, 0.4, 0.5, 0.6, 20.0]), math.radians(30)
+        found = clearance(short, BOX, x, np.zeros(5), np.array([0.0, 0.0, heading, 0.0, 0.0]))
+        side = 1.5 * math.cos(heading) - 0.5 * math.sin(heading) - 0.9
+        assert found.least == pytest.approx(side, abs=0.01)
+        assert found.place == pytest.approx(0.5, abs=0.06)
+
+    def test_a_lane_that_is_not_driven_through_has_no_margin(self):
+        x, y, yaw = straight(0.0)
+        short = x < 8.0
+        assert clearance(LANE, BOX, x[short], y[short], yaw[short]).least == -math.inf
+        assert clearance(LANE, BOX, np.where(short, x, np.nan), y, yaw).margins == (-math.inf,)
+        with pytest.raises(InvalidInput, match="n >= 2"):
+            clearance(LANE, BOX, x, y, yaw[:3])
+
+    @pytest.mark.parametrize("make", [iso_3888_1, iso_3888_2])
+    @pytest.mark.parametrize("car", ["compact-ev", "van"])
+    def test_along_its_road_the_body_passes_all_gates_with_the_room_asked_for(self, make, car):
+        outline = load_vehicle(car).outline
+        track = make(outline.width)
+        road = track_road(track, outline, room=0.1)
+        s = np.linspace(0.0, road.length, 1500)
+        line = road.at(s)
+        found = clearance(track, outline, line.x, line.y, line.heading)
+        assert found.clean
+        assert min(found.margins) == pytest.approx(0.1, abs=0.04)
+        assert np.abs(line.curvature).max() < (0.01 if make is iso_3888_1 else 0.04)
+        assert np.abs(line.heading[line.x < -1.0]).max() < 0.03  # it enters straight
+        inside = (line.x > 1.0) & (line.x < track.gates[0].end - 1.0)
+        left = line.y[inside] + road.along("width_left", s[inside])
+        assert left == pytest.approx(track.gates[0].left, abs=1e-3)
+
+    def test_off_the_throttle_the_planned_speed_falls_as_that_of_a_plant(self):
+        car = load_vehicle("van")
+        track = iso_3888_2(car.outline.width)
+        road = Road.from_segments([Line(length=150.0)], start=(-50.0, 0.0, 0.0))
+        plan = coasting_plan(track, road, car, 20.0)
+        assert plan.at([0.0, 49.0]) == pytest.approx(20.0)
+        roll = car.rolling_resistance * GRAVITY
+        drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
+        v, step = 20.0, 0.001
+        for _ in range(100_000):  # dv/ds = -(roll + drag v^2)/v over 100 m
+            v -= step * (roll + drag * v * v) / v
+        assert plan.speed[-1] == pytest.approx(v, rel=1e-4)
+        with pytest.raises(InvalidInput, match="stands before the end"):
+            coasting_plan(track, road, car, 3.0)
+
+    def test_a_body_that_is_too_wide_for_the_track_is_refused(self):
+        with pytest.raises(InvalidInput, match="does not fit through iso-3888-2"):
+            track_road(iso_3888_2(1.5), BOX)
+        with pytest.raises(InvalidInput, match="width = 0"):
+            iso_3888_1(0)
+
+    @pytest.mark.parametrize("car", ["compact-ev", "van"])
+    def test_a_line_for_a_speed_leaves_more_room_the_slower_and_bends_less_the_faster(self, car):
+        car = load_vehicle(car)
+        track = iso_3888_2(car.outline.width)
+        found = {}
+        for speed in (10.0, 14.0, 20.0):
+            road = driven_line(track, car, speed)
+            line = road.at(np.linspace(0.0, road.length, 2000))
+            slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
+            body = clearance(track, car.outline, line.x, line.y, line.heading - slip * line.curvature)
+            found[speed] = body.least, np.abs(line.curvature).max()
+        assert found[10.0][0] > found[14.0][0] > found[20.0][0] - 0.01
+        assert found[10.0][1] > found[14.0][1]
+        assert all(0.02 < room < 0.16 for room, _ in found.values())
+
+    def test_a_bend_that_allows_it_leaves_all_the_room_asked_for(self):
+        track = iso_3888_2(1.8)
+        wide = track_road(track, BOX, 0.15, bend=10.0)
+        line = wide.at(np.linspace(0.0, wide.length, 2000))
+        assert clearance(track, BOX, line.x, line.y, line.heading).least == pytest.approx(0.15, abs=0.04)
+        with pytest.raises(InvalidInput, match="bend = 0"):
+            track_road(track, BOX, bend=0)
+
+    def test_a_scan_tells_the_speeds_up_to_which_all_are_clean_from_those_that_are_by_luck(self):
+        driven = []
+
+        def drive(speed):
+            driven.append(speed)
+            return straight(0.0 if speed == 64.0 else 0.01 * speed)  # 0.6 m are used up at 60 m/s
+
+        found = highest_clean_speed(drive, LANE, BOX, np.arange(50.0, 100.0, 2.0))
+        assert (found.speed, found.failing, found.highest) == (pytest.approx(60.0, abs=2.0), found.speed + 2.0, 64.0)
+        assert driven == sorted(found.tried)
+        assert max(driven) < 98.0  # the cars that are lost for good are not driven on
+        assert math.isnan(highest_clean_speed(drive, LANE, BOX, [70.0, 80.0]).highest)
+        assert math.isnan(highest_clean_speed(drive, LANE, BOX, [10.0, 20.0]).failing)
+        with pytest.raises(InvalidInput, match="must increase"):
+            highest_clean_speed(drive, LANE, BOX, [2.0, 1.0])
+
+    def test_between_the_instants_the_car_is_on_the_arc_that_it_drives(self):
+        t, v, r = np.arange(0.0, 2.0, 0.1)[:, None], 15.0, 0.5
+        circle = np.hstack([v / r * np.sin(r * t), v / r * (1 - np.cos(r * t)), r * t, v + 0 * t, 0 * t, r + 0 * t])
+        x, y, yaw = refined_poses(circle, 0.1).T
+        assert len(x) == 19 * 5 + 1
+        assert np.hypot(x, y - v / r) == pytest.approx(v / r, abs=1e-6)
+        assert yaw == pytest.approx(np.arctan2(x, v / r - y), abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def obstacle():
+    car = load_vehicle("compact-ev")
+    profile = load_profile("road")
+    track = iso_3888_2(car.outline.width)
+    return LaneChangeTest(car, get_plant("dual-track", car), track, profile)
+
+
+def driver_of(test, name):
+    return get_controller(name, test.car, profile=test.profile, period=test.profile.period, preview=True)
+
+
+@pytest.mark.compiled
+class TestEntrySpeed:
+    def test_the_informed_mpc_passes_at_40_km_h_and_fails_well_beyond_the_grip(self, obstacle):
+        found = entry_speed(obstacle, "informed", driver_of(obstacle, "informed"), [40 / 3.6, 80 / 3.6])
+        assert found.row["clean"] == pytest.approx(40.0)
+        assert found.row["failing"] == pytest.approx(80.0)
+        assert 0.0 < found.row["margin"] < 0.2
+        assert clearance(obstacle.track, obstacle.car.outline, *found.poses[0].T).clean
+
+    def test_many_tunings_at_once_are_driven_as_each_alone(self, obstacle):
+        stanley = driver_of(obstacle, "stanley")
+        tunings = np.array([[0.5 + 0.1 * k, 1.0, 0.05, 0.2] for k in range(20)])  # more than a block holds
+        together = obstacle.drive(stanley, 12.0, tunings, (0, 1))
+        alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
+        assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
+        slow = rollout(obstacle.plant, stanley, obstacle.entering_at(12.0), profile=obstacle.profile, seed=1)
+        own = obstacle.drive(stanley, 12.0, stanley.packed_tuning()[None], (1,))[0, 0]
+        assert np.array_equal(own[::5, 1], slow.Y)
+
+    def test_a_tuning_that_was_searched_is_no_worse_than_the_own_one_where_it_was_searched(self, obstacle):
+        law = driver_of(obstacle, "lqr")
+        tuning, margin = tune_for_track(obstacle, "lqr", law, 12.0)
+        (own,) = obstacle.margins(law, 12.0, law.packed_tuning()[None], TUNING_SEEDS)
+        assert margin.least > own.least + 0.05
+        assert any(np.array_equal(tuning, each) for each in tunings_to_try("lqr", law))
+        with pytest.raises(InvalidInput, match="no search"):
+            tune_for_track(obstacle, "mine", law, 12.0)
+
+
+@pytest.mark.compiled
+class TestCommand:
+    @pytest.fixture
+    def command(self, monkeypatch, capsys):
+        def run(*arguments):
+            monkeypatch.setattr(sys, "argv", ["adaptrack", "manoeuvre", *arguments])
+            monkeypatch.setenv("COLUMNS", "80")
+            code = cli.main()
+            return code, *capsys.readouterr()
+
+        return run
+
+    def test_a_lane_change_gives_a_table_of_80_columns_and_a_picture(self, command, monkeypatch, tmp_path):
+        track = ("iso-3888-2", np.array([30.0, 35.0, 80.0]), 40.0)
+        monkeypatch.setitem(manoeuvre.LANE_CHANGES, "obstacle-avoidance", track)
+        asked = ("obstacle-avoidance", "--vehicle", "compact-ev", "--controller", "pure-pursuit")
+        code, out, _ = command(*asked, "--out", str(tmp_path))
+        assert code == 0
+        assert max(map(len, out.replace(str(tmp_path), "").splitlines()[1:-1])) <= 80
+        assert (tmp_path / "obstacle-avoidance-compact-ev.png").read_bytes().startswith(b"\x89PNG")
+        code, out, _ = command(*asked, "--no-tune", "--json")
+        (row,) = json.loads(out)["rows"]
+        assert (row["vehicle"], row["controller"], row["tuned"]) == ("compact-ev", "pure-pursuit", False)
+        assert len(row["margins"]) == 3
