@@ -64,7 +64,7 @@ def truth_of(car: RandomCar) -> dict[str, float]:
     return {
         "delay": car.delay, "lag": steering.lag, "dead_time": car.profile.dead_time,
         "understeer_gradient": car.vehicle.understeer_gradient, "front": 2.0 * car.vehicle.stiffness_front,
-        "rear": 2.0 * car.vehicle.stiffness_rear, "yaw_inertia": car.vehicle.yaw_inertia, "offset": steering.bias,
+        "rear": 2.0 * car.vehicle.stiffness_rear, "offset": steering.bias,
         "gyro_offset": gyro_offset(car), "noise_yaw_rate": car.profile.noise_yaw_rate,
     }  # fmt: skip
 

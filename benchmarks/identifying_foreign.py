@@ -261,7 +261,7 @@ def _sensed(
     true, steering, dead = car.vehicle, noise.steering, STEP * round(noise.dead_time / STEP)
     truth = {
         "understeer_gradient": true.understeer_gradient, "front": 2.0 * true.stiffness_front,
-        "rear": 2.0 * true.stiffness_rear, "yaw_inertia": inertia, "gyro_offset": offset, "relaxation": relaxation,
+        "rear": 2.0 * true.stiffness_rear, "gyro_offset": offset, "relaxation": relaxation,
     }  # fmt: skip
     if kind["signals"] == "wheel":
         truth |= {"offset": -wheel_offset, "lateness": late}

@@ -32,7 +32,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.identification.reading import Reading, read_columns
 
-SHOWN = ("delay", "lag", "dead_time", "front", "rear", "yaw_inertia", "lf", "ratio", "relaxation",
+SHOWN = ("delay", "lag", "dead_time", "front", "rear", "lf", "ratio", "relaxation",
          "understeer_gradient", "lateness", "bank")  # fmt: skip
 """Estimates that are printed, where there are such."""
 POSITIONS = ("x", "y")

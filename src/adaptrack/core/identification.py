@@ -1,11 +1,12 @@
 """Innovations of a Kalman filter along a log: what the likelihood of a car's quantities is made of.
 
-The filter's state is [v_y (m/s), yaw rate r (rad/s), relaxed slips a_f and a_r (rad), yaw (rad), wind w and g
+The filter's state is [v_y (m/s), yaw rate r (rad/s), relaxed slips s_f and s_r (-), yaw (rad), wind w and g
 (m/s), push d (m/s^2)]. It is that of the single-track vehicle behind its steering:
 
-    m (dv_y/dt + v r) = F_f(a_f) + F_r(a_r) + s (f(w_0) + f' w - v v_y) + m (d_0 + d + c v r)
-    I_z dr/dt         = l_f F_f - l_r F_r + (t + s z) (f(w_0) + f' w - v v_y) + white noise
-    da_f/dt           = (v/sigma) (delta - (v_y + l_f r)/v - a_f),   likewise at the rear
+    m (dv_y/dt + v r) = cos(delta) F_f(a_f) + F_r(a_r) + s (f(w_0) + f' w - v v_y) + m (d_0 + d + c v r)
+    I_z dr/dt         = l_f cos(delta) F_f - l_r F_r + (t + s z) (f(w_0) + f' w - v v_y) + white noise
+    ds_f/dt           = (v/sigma) (tan(delta) - (v_y + l_f r)/v - s_f),   a_f = delta - atan(tan(delta) - s_f)
+    ds_r/dt           = (v/sigma) (-(v_y - l_r r)/v - s_r),               a_r = atan(s_r)
     ddelta/dt         = (gain command(t - dead time) + offset - delta)/lag
 
 F is the Magic Formula D sin(C atan(S a/(C D))) with the axle's stiffness S and D = mu m g times its share of the load
@@ -59,7 +60,7 @@ takes the sample in (else it only predicts), and the factor on the spread of the
 OUTPUT = columns("yaw_rate", "vy", "acceleration", "yaw", "wheel")
 """What is predicted. The answer has a row for each innovation, then one for each of their variances, then `FOUND`."""
 FOUND = columns("wind", "wheel_angle", "front_slip", "rear_slip")
-"""m/s, rad, rad, rad: what the filter finds at each sample: gusts beside the mean, wheels, slips."""
+"""m/s, rad, -, -: what the filter finds at each sample: gusts beside the mean, wheels, slips."""
 ANSWER = 2 * len(OUTPUT) + len(FOUND)
 STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
 """The first four obey dv/dt = M v + n_0 + n_1 t within a step. g is the gust that the wind w follows."""
@@ -108,12 +109,13 @@ def _move_wheels(angle, target, lag, rate, span):
 
 
 @inlined
-def _axles(q, x):
-    """Force (N) and its slope (N/rad), front and rear."""
-    load = q.friction * q.mass * GRAVITY / (q.lf + q.lr)
-    front, slope_front = _tyre(x[STATE.slip_front], q.front, load * q.lr, q.shape_factor)
-    rear, slope_rear = _tyre(x[STATE.slip_rear], q.rear, load * q.lf, q.shape_factor)
-    return front, slope_front, rear, slope_rear
+def _axles(q, x, angle):
+    """Lateral force (N) and its slope over the state (N), front at a wheel angle (rad), and rear."""
+    load, along, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), cos(angle), x[STATE.slip_rear]
+    course = sin(angle) / along - x[STATE.slip_front]
+    front, slope_front = _tyre(angle - atan(course), q.front, load * q.lr, q.shape_factor)
+    rear, slope_rear = _tyre(atan(slip_rear), q.rear, load * q.lf, q.shape_factor)
+    return along * front, along * slope_front / (1.0 + square(course)), rear, slope_rear / (1.0 + square(slip_rear))
 
 
 @inlined
@@ -170,14 +172,15 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     gusts: factor on the spread of the wind's noise.
     """
     m, constant, ramp, air = _square(), _column(), _column(), _column()
-    front, slope_front, rear, slope_rear = _axles(q, x)
+    front, slope_front, rear, slope_rear = _axles(q, x, angle)
     rest_front, rest_rear = front - slope_front * x[STATE.slip_front], rear - slope_rear * x[STATE.slip_rear]
     steady, slope = _wind(q, speed)
     _linearise(q, speed, slope_front, slope_rear, m)
     constant[STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
     constant[STATE.yaw_rate] = (q.lf * rest_front - q.lr * rest_rear + _turning(q) * steady) / q.yaw_inertia
     entering = speed / max(q.relaxation, 0.01)
-    constant[STATE.slip_front], ramp[STATE.slip_front] = entering * (angle - 0.5 * h * turning), entering * turning
+    tangent, turning = sin(angle) / cos(angle), turning / square(cos(angle))
+    constant[STATE.slip_front], ramp[STATE.slip_front] = entering * (tangent - 0.5 * h * turning), entering * turning
     air[STATE.vy], air[STATE.yaw_rate] = q.side * slope / q.mass, _turning(q) * slope / q.yaw_inertia
 
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
@@ -220,8 +223,11 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
 
 
 @inlined
-def _sense(sensor, q, speed, x, h):
-    """What a sensor should read, and the standard deviation of its noise; writes its row of the Jacobian to h."""
+def _sense(sensor, q, speed, angle, x, h):
+    """Expected reading of a sensor and the standard deviation of its noise; writes its row of the Jacobian to h.
+
+    angle: of the wheels (rad)
+    """
     for i in range(_N):
         h[i] = 0.0
     if sensor == OUTPUT.yaw_rate:
@@ -233,7 +239,7 @@ def _sense(sensor, q, speed, x, h):
     if sensor == OUTPUT.yaw:
         h[STATE.yaw] = 1.0
         return x[STATE.yaw], q.noise_yaw
-    front, slope_front, rear, slope_rear = _axles(q, x)
+    front, slope_front, rear, slope_rear = _axles(q, x, angle)
     steady, slope = _wind(q, speed)
     h[STATE.slip_front], h[STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
     h[STATE.wind] = q.side * slope / q.mass
@@ -242,14 +248,14 @@ def _sense(sensor, q, speed, x, h):
 
 
 @inlined
-def _compare(q, k, log, x, p, answer):
-    """Compare the prediction with each measurement at sample k, and take it in."""
+def _compare(q, k, log, angle, x, p, answer):
+    """Compare the prediction with each measurement at sample k, and take it in; angle: of the wheels (rad)."""
     h, cross, speed = _vector(), _vector(), max(log[ROW.speed, k], SLIP_SPEED_FLOOR)
     for sensor in range(OUTPUT.wheel):
         measured = log[ROW.yaw_rate + sensor, k]
         if measured != measured:
             continue
-        predicted, noise = _sense(sensor, q, speed, x, h)
+        predicted, noise = _sense(sensor, q, speed, angle, x, h)
         innovation, variance = measured - predicted, scatter(noise * noise + FLOOR, h, p, cross)
         answer[sensor, k], answer[len(OUTPUT) + sensor, k] = innovation, variance
         if log[ROW.used, k] > 0.0:
@@ -332,7 +338,7 @@ def innovations(quantities, log, answer):
                 acting_here, here = acting, angle
             else:
                 acting_here, here, _, _ = _steer(q, log, acting_here, here, q.dead_time, before, span)
-        _compare(q, k, log, x, p, answer)
+        _compare(q, k, log, angle, x, p, answer)
         found = 2 * len(OUTPUT)
         answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[STATE.wind], here
         answer[found + FOUND.front_slip, k] = x[STATE.slip_front]

@@ -28,16 +28,16 @@ LEVEL = 0.01
 """Of a false alarm over all quantities that are compared (Bonferroni)."""
 MODEL_ERRORS: Mapping[str, float] = {
     "delay": 0.015, "lag": 0.03, "dead_time": 0.03, "understeer_gradient": 0.0003, "front": 0.12, "rear": 0.12,
-    "yaw_inertia": 0.12, "lf": 0.05, "ratio": 0.05, "rate": 0.2, "relaxation": 0.5,
+    "lf": 0.05, "ratio": 0.05, "rate": 0.2, "relaxation": 0.5,
 }  # fmt: skip
 """Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to
 each: delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
 _ABSOLUTE = ("delay", "lag", "dead_time", "understeer_gradient")
 INFORMED = 0.8
 """Share of the prior's spread that must at most be left where a stretch or log has a say."""
-AXLE_PLACE, RADII, GRADIENTS, STIFFNESS = (0.3, 0.7), (0.4, 2.0), (-1.0, 8.0), (1.5, 100.0)
-"""Of cars on four wheels: l_f over the wheelbase; yaw inertia over m l_f l_r (0.7 to 1.3 in the measurements of W. R.
-Garrott, SAE 930897); understeer gradient, deg/g; cornering stiffness of an axle over its load, 1/rad."""
+AXLE_PLACE, GRADIENTS, STIFFNESS = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
+"""Of cars on four wheels: l_f over the wheelbase; understeer gradient, deg/g; cornering stiffness of an axle over its
+load, 1/rad."""
 
 
 class Said(NamedTuple):
@@ -66,7 +66,6 @@ def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     load = car.mass * GRAVITY / wheelbase
     rows = (
         ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE),
-        ("yaw_inertia", "yaw inertia over m l_f l_r", "", 1.0 / (car.mass * lf * lr), RADII),
         ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), GRADIENTS),
         ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), STIFFNESS),
         ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), STIFFNESS),

@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 DELAYS = np.arange(0.0, 1.01, 0.1)
 GRADIENTS = (0.003, 0.002, 0.005, 0.001, 0.0, 0.008, -0.001, -0.002, 0.012, 0.018, 0.026, 0.036, 0.05)
 """s, between command and yaw rate; rad s^2/m, understeer: all that are tried, usual ones first."""
-BETTER = 1e-6
-"""By how much a correlation must exceed one that was found before: at one speed all gradients fit alike."""
+BETTER = 0.9
+"""Share of what a more usual gradient leaves unexplained that another must leave at most: at an even speed all gradients
+fit alike."""
 WINDOW = 0.5
 """s to either side, over which signals are averaged before they are compared."""
 LEAST_BOTH = 100
@@ -229,20 +230,20 @@ def _refuse_clock(name: str, other: str, late: float) -> None:
 
 def _turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = WINDOW) -> _Slope:
     """Yaw rate against v delta/(L + K v^2), at the delay (s) and gradient where they agree best."""
-    best = _Slope(math.nan, 0.0)
     present = np.isfinite(log.yaw_rate)
     if present.sum() < LEAST_BOTH:
-        return best
+        return _Slope(math.nan, 0.0)
     yaw_rate = smoothed(log.time[present], log.yaw_rate[present], half)
     steering = smoothed(log.time, log.command, half)
-    for step in np.unique(np.round(delays / log.period).astype(int)):
-        late = steering[np.clip(np.arange(steering.size) - step, 0, steering.size - 1)]
-        late = late - np.median(late)
-        for gradient in GRADIENTS:
-            expected = log.speed * late / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
-            slope = _slope(expected[present], yaw_rate)
-            if abs(slope.correlation) > abs(best.correlation) + BETTER:
-                best = slope
+    steps = np.unique(np.round(delays / log.period).astype(int))
+    late = [steering[np.clip(np.arange(steering.size) - step, 0, steering.size - 1)] for step in steps]
+    best = _Slope(math.nan, 0.0)
+    for gradient in GRADIENTS:
+        turn = log.speed / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
+        slopes = [_slope((turn * (angle - np.median(angle)))[present], yaw_rate) for angle in late]
+        slope = max(slopes, key=lambda each: abs(each.correlation))
+        if 1.0 - abs(slope.correlation) < BETTER * (1.0 - abs(best.correlation)):
+            best = slope
     return best
 
 

@@ -34,14 +34,13 @@ from adaptrack.identification.quantities import (
 from adaptrack.identification.ratio import OPEN, gain_of, judged, of_found
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.identification.several import combined, shared_by
+from adaptrack.identification.starts import find_optima
 from adaptrack.identification.words import findings
 
 Array = NDArray[np.float64]
 
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
-FIRST_DELAYS = (0.12, 0.25, 0.45)
-"""s, from the most likely of which the fit starts."""
 BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
@@ -49,8 +48,7 @@ RATIO_SPREAD = (0.3, 0.1)
 THIRDS, LEAST_THIRDS = 3, 50.0
 """Stretches of a log that are compared; s of driving from which they are."""
 SHARED = (
-    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "yaw_inertia", "lf", "ratio", "rate",
-    "relaxation",
+    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "lf", "ratio", "rate", "relaxation",
 )  # fmt: skip
 """Estimates that belong to the car: logs of one car share them."""
 _STEP = 1e-4
@@ -67,6 +65,8 @@ class Fit(NamedTuple):
     z: Array
     covariance: Array
     """of the free entries of z"""
+    rivals: tuple[Array, ...]
+    """points that are as likely"""
     columns: Columns
     beliefs: dict[str, Prior]
 
@@ -131,14 +131,14 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
         common = float(np.median(unknown))
         prepared = [_prepared(columns, believed, each, common) for columns, each in zip(read, own, strict=True)]
     return [
-        Fit(likelihood, *fitted(likelihood), columns, each)
+        Fit(likelihood, *optimum(likelihood), columns, each)
         for likelihood, columns, each in zip(prepared, read, own, strict=True)
     ]
 
 
 def _alone(fit: Fit, curve: Tyre) -> Identification:
     """What one log says."""
-    likelihood, z, covariance, columns, beliefs = fit
+    likelihood, z, covariance, rivals, columns, beliefs = fit
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
@@ -147,7 +147,7 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     rows = [i for i, name in enumerate(estimates) if name in kept]
     return Identification(
         kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation,
-        findings(log, estimates, validation) + open_ratio, log, car, curve, columns.computation, series, tuple(reasons),
+        _ambiguous(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio, log, car, curve, columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
 
@@ -245,21 +245,26 @@ def _noises(log: Log) -> dict[str, Prior]:
 
 
 def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
-    """The most likely point z of a log, and the covariance of its free entries.
+    """The most likely point z of a log, and the covariance of its free entries."""
+    z, covariance, _ = optimum(likelihood)
+    return z, covariance
+
+
+def optimum(likelihood: Likelihood) -> tuple[Array, Array, tuple[Array, ...]]:
+    """The most likely point z of a log, the covariance of its free entries, and points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
+    Points that are as likely widen the covariance by their distance.
     """
-    starts = []
-    for delay in FIRST_DELAYS:
-        z = np.zeros(len(QUANTITIES))
-        if likelihood.log.commanded and likelihood.spread[INDEX["delay"]] > 0.0:
-            z[INDEX["delay"]] = math.log(delay / likelihood.median[INDEX["delay"]]) / likelihood.spread[INDEX["delay"]]
-        starts.append((likelihood.objective(z), delay, z))
-    z, _ = likelihood.fit(min(starts, key=lambda each: each[0])[2], NEARLY)
+    z, rivals = find_optima(likelihood)
     likelihood.follow_gusts(z)
     z, _ = likelihood.fit(z, NEARLY)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
-    return z, likelihood.covariance(at)
+    covariance = likelihood.covariance(at)
+    for rival in rivals:
+        apart = (rival - z)[likelihood.free]
+        covariance += np.outer(apart, apart)
+    return z, covariance, rivals
 
 
 # -- what is reported -------------------------------------------------------------------------------------------------
@@ -289,7 +294,6 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
         ("understeer_gradient", "rad s^2/m", "steering per lateral acceleration in a steady bend", False, gradient),
         ("front", "N/rad", "cornering stiffness of the front axle", True, _value("front")),
         ("rear", "N/rad", "cornering stiffness of the rear axle", True, _value("rear")),
-        ("yaw_inertia", "kg m^2", "yaw inertia", True, _value("yaw_inertia")),
         ("lf", "m", "centre of gravity to front axle", True, lambda v: float(v[INDEX["front_share"]] * wheelbase)),
     ]
     if likelihood.spread[INDEX["gain"]] > 0.0:
@@ -359,6 +363,18 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
             left, shift,
         )  # fmt: skip
     return found, wider[:, None] * jacobian
+
+
+def _ambiguous(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
+    """A sentence on cars that fit a log equally well; none where there is one."""
+    if not rivals:
+        return ()
+    cars = []
+    for values in map(likelihood.values, (z, *rivals)):
+        front, rear = (1e-3 * values[INDEX[axle]] for axle in ("front", "rear"))
+        delay = f"delay {values[INDEX['delay']]:.3g} s, " if likelihood.log.commanded else ""
+        cars.append(f"{delay}axles {front:.3g} and {rear:.3g} kN/rad")
+    return (f"different cars fit the log equally well ({'; '.join(cars)}): quick steering at speed tells them apart",)
 
 
 # -- consistency ------------------------------------------------------------------------------------------------------

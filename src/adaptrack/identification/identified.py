@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 HARDLY = 0.7
 """Share of the earlier spread that is left where a log says next to nothing."""
-FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear", "yaw_inertia": "yaw_inertia"}
+FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear"}
 """Of a car file's numbers, the estimates that they come from."""
 _MARGINS = ("steering_lag", "steering_dead_time")
 
@@ -110,7 +110,7 @@ class Identification:
 
     @property
     def car(self) -> Vehicle:
-        """The car as the log has it: stiffness, yaw inertia, steering; the rest as believed."""
+        """The car as the log has it: stiffness, l_f, steering; the rest, such as the yaw inertia, as believed."""
         value = {name: each.value for name, each in self.estimates.items()}
         steering = self.believed.steering or Steering()
         if self.log.commanded:
@@ -122,7 +122,7 @@ class Identification:
             steering = steering.replace(ratio=value["ratio"])
         return self.believed.replace(
             stiffness_front=0.5 * value["front"], stiffness_rear=0.5 * value["rear"],
-            yaw_inertia=value["yaw_inertia"], lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
+            lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
             steering=steering if steering != Steering() else None,
         )  # fmt: skip
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from adaptrack.identification.identified import HARDLY, Estimate, Validation
+from adaptrack.identification.identified import Estimate, Validation
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import degrees_per_g
 
@@ -52,10 +52,6 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
             )
     else:
         said.append("no steering command in the log: cannot tell lag and dead time, they keep what was believed")
-    if estimates["yaw_inertia"].spread_left > HARDLY and abs(estimates["yaw_inertia"].shift) < 1.0:
-        said.append(
-            "cannot tell the yaw inertia, it keeps what was believed: steer faster, or log the lateral acceleration"
-        )
     if float(np.std(log.speed)) < EVEN_SPEED * float(np.mean(log.speed)):
         said.append("the speed hardly changes: steering offset, bank and gyro offset are known in sum only")
     if float(np.percentile(np.abs(sideways), 99)) > HARD:
