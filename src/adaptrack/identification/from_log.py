@@ -23,6 +23,7 @@ from adaptrack.identification.conventions import check_conventions, check_positi
 from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.long_log import condensed
 from adaptrack.identification.quantities import (
     INDEX,
     QUANTITIES,
@@ -193,7 +194,7 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
     """
     check_positions(columns.values)
     values, computed = without_computed(columns.values, believed.wheelbase)
-    cleaned = log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded)
+    cleaned = condensed(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
     cleaned = replace(cleaned, ratio=columns.ratio)
     if columns.ratio_unknown:
         known = believed.steering.ratio if believed.steering is not None else None

@@ -18,8 +18,8 @@ SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")
 """Of a `Log`, beside its time."""
 STANDING = 1.5
 """m/s, below which samples are left out: slip angles are ill-defined."""
-LONGEST_PERIOD, GAP_PERIODS, LEAST_GAP = 0.12, 5.0, 0.3
-"""s, of the samples; a pause longer than so many periods and so long (s) begins a new segment."""
+SHORTEST_PERIOD, LONGEST_PERIOD, GAP_PERIODS, LEAST_GAP = 5e-4, 0.12, 5.0, 0.3
+"""s, of the samples, least (of a short log) and most; a pause longer than so many periods and so long (s) begins a new segment."""
 LEAST_SEGMENT, LEAST_DRIVEN = 3.0, 20.0
 """s, of driving, in one piece and in all."""
 LEAST_ACCELERATION = 0.1
@@ -108,7 +108,7 @@ def log_of(
     time = time[keep]
     if time.size < 50:
         raise InvalidInput(f"log: {time.size} rows with a time of their own: too few; {LEAST_DRIVEN:g} s are needed.")
-    period = float(np.median(np.diff(time)))
+    period = check_times(time)
     if period > LONGEST_PERIOD:
         raise InvalidInput(
             f"log: a sample every {period:g} s (median): 10 Hz and up is needed. If the times are not seconds, say "
@@ -128,6 +128,24 @@ def log_of(
     log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, said)
     _refuse_idle(log, wheelbase)
     return log
+
+
+def check_times(time: Array) -> float:
+    """s, the median between increasing times (s).
+
+    Raises
+    ------
+    InvalidInput
+        When the samples are nearer to each other than those of any car.
+    """
+    period = float(np.median(np.diff(time)))
+    span = float(time[-1] - time[0])
+    if period < SHORTEST_PERIOD and span < LEAST_DRIVEN:
+        raise InvalidInput(
+            f"log: {span:.2g} s of log, {1e6 * period:.3g} microseconds between samples: is the time in s? If so, say "
+            "--units time=s (ms, us, ns)."
+        )
+    return period
 
 
 def _without_outliers(time: Array, data: dict[str, Array], commanded: bool, said: list[str]) -> None:

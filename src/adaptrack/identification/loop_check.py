@@ -10,6 +10,7 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.input_check import Finding, InputCheck
+from adaptrack.identification.log import check_times
 from adaptrack.identification.reading import Columns
 
 SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command")
@@ -35,13 +36,16 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     Raises
     ------
     InvalidInput
-        When there is no time, or no speed.
+        When there is no time, or no speed, or the times are too near to each other.
     """
     values = columns.values
     for name in ("time", "speed"):
         if name not in values or not np.isfinite(values[name]).any():
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
     time = values["time"]
+    instants = np.unique(time[np.isfinite(time)])
+    if instants.size > 1:
+        check_times(instants)
     missing = np.full(time.size, math.nan)
     signals = {name: values.get(name, missing) for name in SIGNALS}
     if not np.isfinite(signals["command"]).any():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import re
@@ -16,9 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.files import read_bytes
-from adaptrack.drive.trajectory import FORMAT, Trajectory
-from adaptrack.scenario.profile import list_profiles, load_profile
+from adaptrack.identification.table import Cells, Table, instants_of, load_table, origin_of, seconds
 
 Array = NDArray[np.float64]
 
@@ -58,14 +55,17 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 }
 _SHORT = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radps": "rad/s", "rad_s": "rad/s", "rad/s": "rad/s",
-    "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h",
+    "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "degs": "deg/s", "deg_per_s": "deg/s",
+    "deg_sec": "deg/s", "deg_per_sec": "deg/s", "deg/sec": "deg/s", "degrees_per_second": "deg/s", "rads": "rad/s",
+    "rad_per_s": "rad/s", "rad_sec": "rad/s", "rad_per_sec": "rad/s", "rad/sec": "rad/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h",
     "kmph": "km/h", "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us",
     "ns": "ns", "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
 }  # fmt: skip
 """Units as column names have them."""
+REQUIRED = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
+"""Signals, beside the time, whose columns must hold numbers."""
 FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3
 """Periods of its own clock, and s: a signal has no value farther than the larger of them from its samples."""
-_NOTHING = ("", "nan", "NaN", "NA", "null")
 _AT_STEERING_WHEEL = re.compile(r"steering_?wheel|swa$|hand_?wheel")
 
 
@@ -137,37 +137,74 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     InvalidInput
         When it is no table of numbers, or names columns that it does not have.
     """
-    if isinstance(source, Mapping):
-        table, where, computation = {str(k): reals(f"log: column {k!r}", v) for k, v in source.items()}, "log", 0.0
-        if any(v.ndim != 1 for v in table.values()):
-            raise InvalidInput("log: the columns must be vectors.")
-    else:
-        where = os.fspath(source)
-        table, computation = _table(Path(source))
-    found, notes = _named(table, reading, where)
+    where = "log" if isinstance(source, Mapping) else os.fspath(source)
+    table = _arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
+    found, notes = _named(table.columns, reading, where)
+    times = [found["time"]] if "time" in found else [*reading.clocks.values()][:1]
+    for column in (*times, *reading.clocks.values()):
+        if column in table.columns:
+            _read_instants(table, column, where)
+    origin = origin_of(table.columns[times[0]], _unit("time", times[0], reading, table.units)[1]) if times else 0
     values = {}
     for signal, column in found.items():
-        unit, factor = _unit(signal, column, reading)
+        unit, factor = _unit(signal, column, reading, table.units)
         sign = -1.0 if signal in reading.flip or (signal == "steering_wheel" and "wheel" in reading.flip) else 1.0
-        values[signal] = table[column] * factor * sign
+        cells = table.columns[column]
+        if signal == "time":
+            values[signal] = seconds(cells, factor, origin)
+        elif cells.dtype.kind in "fiu":
+            values[signal] = cells * factor * sign
+        elif signal in REQUIRED or signal in reading.columns:
+            raise InvalidInput(
+                _refusal_of_text(where, signal, column, cells) + f"name another one: --columns {signal}=NAME."
+            )
+        else:
+            notes.append(f"{signal} is left out: the column {column!r} holds no numbers")
+            continue
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
-    _on_one_clock(values, _clocks(table, reading, where), reading.late, notes)
+    _on_one_clock(values, _clocks(table, reading, where, origin), reading.late, notes)
     commanded, unknown = _at_road_wheels(values, found, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
     given = reading.steering_ratio
     ratio = float(given) if isinstance(given, int | float) else 1.0
-    return Columns(values, tuple(notes), where, computation, commanded, unknown, ratio)
+    return Columns(values, tuple(notes), where, table.computation, commanded, unknown, ratio)
 
 
-def _clocks(table: Mapping[str, Array], reading: Reading, where: str) -> dict[str, Array]:
-    """Signal -> s, the times of its own clock."""
+def _arrays(source: Mapping[str, object]) -> Table:
+    """Arrays by name as a table: whole numbers and instants as they are, other numbers as float64."""
+    columns: dict[str, Cells] = {}
+    for name, values in source.items():
+        cells = np.asarray(values)
+        columns[str(name)] = cells if cells.dtype.kind in "iuM" else reals(f"log: column {str(name)!r}", values)
+    if any(cells.ndim != 1 for cells in columns.values()):
+        raise InvalidInput("log: the columns must be vectors.")
+    return Table(columns, {})
+
+
+def _read_instants(table: Table, column: str, where: str) -> None:
+    """Replace the text in a column of times by instants."""
+    cells = table.columns[column]
+    if cells.dtype.kind == "U":
+        table.columns[column] = cells = instants_of(cells)
+    if cells.dtype.kind == "U":
+        remedy = "give seconds, ISO 8601 (2024-05-01T10:00:00.05), or name another column: --columns time=NAME."
+        raise InvalidInput(_refusal_of_text(where, "time", column, cells) + remedy)
+
+
+def _refusal_of_text(where: str, signal: str, column: str, cells: Cells) -> str:
+    """The first half of a sentence on a column without numbers."""
+    return f"{where}: {signal} is the column {column!r}, which holds no numbers (its first cell: {str(cells[0])!r}); "
+
+
+def _clocks(table: Table, reading: Reading, where: str, origin: int) -> dict[str, Array]:
+    """Signal -> s since an origin (ns), the times of its own clock."""
     clocks = {}
     for signal, column in reading.clocks.items():
-        if column not in table:
-            raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table)}")
-        clocks[signal] = table[column] * _unit("time", column, reading)[1]
+        if column not in table.columns:
+            raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table.columns)}")
+        clocks[signal] = seconds(table.columns[column], _unit("time", column, reading, table.units)[1], origin)
     return clocks
 
 
@@ -252,68 +289,6 @@ def _at_road_wheels(
     return False, True
 
 
-def _table(path: Path) -> tuple[dict[str, Array], float]:
-    """The columns of a file, and the computation time (s) that it tells of."""
-    content = read_bytes(path)
-    if content[:4] == b"PAR1":
-        return _parquet(path, content)
-    return _csv(path, content), 0.0
-
-
-def _parquet(path: Path, content: bytes) -> tuple[dict[str, Array], float]:
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        table = pyarrow.parquet.read_table(io.BytesIO(content))
-    except (pyarrow.ArrowException, OSError) as error:
-        raise InvalidInput(f"{path}: cannot be read as Parquet: {error}.") from None
-    if any(FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
-        run = Trajectory.load(path)
-        names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
-                 "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
-        return {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, _computation(run)
-    return {name: _numbers(table.column(name)) for name in table.column_names}, 0.0
-
-
-def _computation(run: object) -> float:
-    """s, delay of the profile that a trajectory was driven in, where it is a shipped one."""
-    name = getattr(run, "meta", {}).get("profile")
-    return load_profile(name).delay * float(getattr(run, "period", 0.0)) if name in list_profiles() else 0.0
-
-
-def _numbers(column: object) -> Array:
-    import pyarrow
-
-    try:
-        return np.asarray(column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)  # type: ignore[attr-defined]
-    except (pyarrow.ArrowException, ValueError):
-        return np.full(len(column), np.nan)  # type: ignore[arg-type]
-
-
-def _csv(path: Path, content: bytes) -> dict[str, Array]:
-    import pyarrow
-    import pyarrow.csv
-
-    lines = content.decode("utf-8-sig", errors="replace").splitlines()
-    said = [line for line in lines if line.lstrip().startswith("#")]
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if said and lines and re.fullmatch(r"[-+0-9.eE,;\s]+", lines[0]):  # the names stand in a comment
-        lines.insert(0, said[-1].lstrip("# \t"))
-    if len(lines) < 2:
-        raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
-    delimiter = max(",;\t", key=lines[0].count)
-    point = "," if delimiter == ";" and "." not in lines[1] else "."
-    try:
-        table = pyarrow.csv.read_csv(
-            io.BytesIO("\n".join(lines).encode()), parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
-            convert_options=pyarrow.csv.ConvertOptions(decimal_point=point, null_values=list(_NOTHING)),
-        )  # fmt: skip
-    except pyarrow.ArrowException as error:
-        raise InvalidInput(f"{path}: not a table: {error}.") from None
-    return {name.strip().strip('"'): _numbers(table.column(i)) for i, name in enumerate(table.column_names)}
-
-
 def _plain(column: str) -> tuple[str, str]:
     """The name of a column without its unit, and the unit; the latter may be empty."""
     name = re.sub(r"(?<=[a-z])(?=[A-Z][a-z]|[A-Z]$)", "_", column.strip()).lower()
@@ -329,7 +304,7 @@ def _plain(column: str) -> tuple[str, str]:
     return name, ""
 
 
-def _named(table: dict[str, Array], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
+def _named(table: Mapping[str, Cells], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
     """Signal -> column: those that are given, then those whose name is known."""
     found: dict[str, str] = {}
     for signal, column in reading.columns.items():
@@ -359,18 +334,31 @@ def _dimension(signal: str) -> str:
     return {"x": "length", "y": "length", "vy": "speed"}.get(signal, signal)
 
 
-def _unit(signal: str, column: str, reading: Reading) -> tuple[str, float]:
-    """The unit of a column and its factor to SI."""
-    units = _UNITS[_dimension(signal)]
+def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) -> tuple[str, float]:
+    """The unit of a column and its factor to SI: as requested, else in its name, else in the row of units."""
+    dimension = _dimension(signal)
+    units = _UNITS[dimension]
     named = reading.units.get(signal)
     if named is None and signal == "steering_wheel":
         named = reading.units.get("wheel")
-    if named is None and "" in reading.units and _dimension(signal) in ("angle", "yaw_rate"):
+    if named is None and "" in reading.units and dimension in ("angle", "yaw_rate"):
         named = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
     if named is None:
-        named = _plain(column)[1]
-        if _dimension(signal) == "yaw_rate" and named in ("deg", "rad"):
+        named = _plain(column)[1] or _unit_below(signal, column, row.get(column, ""))
+        if dimension == "yaw_rate" and named in ("deg", "rad"):
             named += "/s"
+        elif dimension == "angle":  # degs: degrees
+            named = named.removesuffix("/s")
     named = _SHORT.get(named, named)
     unit = named if named in units else next(iter(units))
     return unit, units[unit]
+
+
+def _unit_below(signal: str, column: str, cell: str) -> str:
+    """The unit in the row of units; empty where its cell is."""
+    text = cell.strip("[]() ").lower().replace("²", "2").replace("°", "deg")
+    unit = _SHORT.get(text, _SHORT.get(re.sub(r"[^a-z0-9]+", "_", text).strip("_"), ""))
+    if text not in ("", "-") and not unit:
+        options = " or ".join(_UNITS[_dimension(signal)])
+        raise InvalidInput(f"log: {signal} is the column {column!r} in {cell!r}: say --units {signal}={options}.")
+    return unit

@@ -1,0 +1,178 @@
+"""The table in a log file: columns of numbers, whole numbers, instants or text, and the units that stand below names."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import read_bytes
+from adaptrack.drive.trajectory import FORMAT, Trajectory
+from adaptrack.scenario.profile import list_profiles, load_profile
+
+Array = NDArray[np.float64]
+Cells = NDArray[Any]
+"""(n,) float64, whole numbers, datetime64[ns], or text where most cells are no numbers."""
+
+_NOTHING = ("", "nan", "NaN", "NA", "null")
+_NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+_PER_UNIT = {1.0: 1_000_000_000, 1e-3: 1_000_000, 1e-6: 1_000, 1e-9: 1}
+"""ns in a unit of so many s."""
+
+
+class Table(NamedTuple):
+    """Columns of one length by their names."""
+
+    columns: dict[str, Cells]
+    units: dict[str, str]
+    """column -> its cell in the row of units below the names"""
+    computation: float = 0.0
+    """s, of the dead time that lies in the controller's computation, where the file tells"""
+
+
+def load_table(path: Path) -> Table:
+    """Load the table in a CSV or Parquet file, or in one of `Trajectory.save`.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    InvalidInput
+        When it holds no table.
+    """
+    content = read_bytes(path)
+    return _parquet(path, content) if content[:4] == b"PAR1" else _csv(path, content)
+
+
+def origin_of(times: Cells, factor: float) -> int:
+    """ns, the first of times that are whole numbers or instants; 0 for others."""
+    whole = _nanoseconds(times, factor)
+    known = None if whole is None else whole[~np.isnat(times)] if times.dtype.kind == "M" else whole
+    return 0 if known is None or not known.size else int(known[0])
+
+
+def seconds(times: Cells, factor: float, origin: int) -> Array:
+    """Times in s since an origin (ns), which is taken off before whole numbers beyond 2^53 are rounded.
+
+    factor: s, the unit of the times; instants have their own.
+    """
+    whole = _nanoseconds(times, factor)
+    if whole is None:
+        return np.asarray(times * factor - 1e-9 * origin, dtype=np.float64)
+    since = 1e-9 * (whole - origin)
+    return np.where(np.isnat(times), np.nan, since) if times.dtype.kind == "M" else since
+
+
+def instants_of(text: Cells) -> Cells:
+    """Times of day in s, or instants, from text in ISO 8601; the text where a cell is neither."""
+    try:
+        since = [datetime.fromisoformat(cell.strip().replace(",", ".")) for cell in text]
+        utc = [each if each.tzinfo else each.replace(tzinfo=UTC) for each in since]
+        return np.array([each.astimezone(UTC).replace(tzinfo=None) for each in utc], dtype="datetime64[ns]")
+    except ValueError:
+        clocks = [_CLOCK.fullmatch(cell.strip()) for cell in text]
+    hands = [(match[1], match[2], match[3].replace(",", ".")) for match in clocks if match]
+    if len(hands) < text.size:
+        return text
+    return np.array(hands, dtype=np.float64) @ np.array([3600.0, 60.0, 1.0])
+
+
+def _nanoseconds(times: Cells, factor: float) -> NDArray[np.int64] | None:
+    """ns of whole numbers and instants; None for others."""
+    if times.dtype.kind == "M":
+        return times.astype("datetime64[ns]").astype(np.int64)
+    return times.astype(np.int64) * _PER_UNIT[factor] if times.dtype.kind in "iu" else None
+
+
+def _parquet(path: Path, content: bytes) -> Table:
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(io.BytesIO(content))
+    except (pyarrow.ArrowException, OSError) as error:
+        raise InvalidInput(f"{path}: cannot be read as Parquet: {error}.") from None
+    if any(FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
+        run = Trajectory.load(path)
+        names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
+                 "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
+        return Table({name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _delay_of(run))
+    return Table({name: _cells(table.column(name)) for name in table.column_names}, {})
+
+
+def _delay_of(run: Trajectory) -> float:
+    """s, delay of the profile that a trajectory was driven in, where it is a shipped one."""
+    name = getattr(run, "meta", {}).get("profile")
+    return load_profile(name).delay * float(getattr(run, "period", 0.0)) if name in list_profiles() else 0.0
+
+
+def _csv(path: Path, content: bytes) -> Table:
+    import pyarrow
+    import pyarrow.csv
+
+    lines = content.decode("utf-8-sig", errors="replace").splitlines()
+    comments = [line for line in lines if line.lstrip().startswith("#")]
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if comments and lines and re.fullmatch(r"[-+0-9.eE,;\s]+", lines[0]):  # the names stand in a comment
+        lines.insert(0, comments[-1].lstrip("# \t"))
+    if len(lines) < 2:
+        raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
+    delimiter = max(",;\t", key=lines[0].count)
+    units = _row_of_units(lines, delimiter)
+    if units:
+        del lines[1]
+    point = "," if delimiter == ";" and "." not in lines[1] else "."
+    try:
+        table = pyarrow.csv.read_csv(
+            io.BytesIO("\n".join(lines).encode()), parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(decimal_point=point, null_values=list(_NOTHING)),
+        )  # fmt: skip
+    except pyarrow.ArrowException as error:
+        raise InvalidInput(f"{path}: not a table: {error}.") from None
+    names = [name.strip().strip('"') for name in table.column_names]
+    columns = {name: _cells(table.column(i)) for i, name in enumerate(names)}
+    return Table(columns, dict(zip(names, units, strict=False)))
+
+
+def _row_of_units(lines: Sequence[str], delimiter: str) -> list[str]:
+    """The cells below the names where none of them is a number, but cells of the next row are; else none."""
+    rows = [[cell.strip().strip('"').strip() for cell in line.split(delimiter)] for line in lines[1:3]]
+    if len(rows) < 2 or len(rows[0]) < 2 or any(map(_NUMBER.fullmatch, rows[0])):
+        return []
+    return rows[0] if any(map(_NUMBER.fullmatch, rows[1])) and not any(map(_is_time, rows[0])) else []
+
+
+def _is_time(cell: str) -> bool:
+    return bool(re.match(r"\d{4}-\d\d-\d\d|\d{1,2}:\d\d", cell))
+
+
+def _cells(column: Any) -> Cells:
+    """An Arrow column as an array; text of which most is numbers as these, the rest as NaN."""
+    import pyarrow
+
+    kind = column.type
+    if pyarrow.types.is_timestamp(kind) or pyarrow.types.is_date(kind):
+        return column.cast(pyarrow.timestamp("ns"), safe=False).to_numpy().astype("datetime64[ns]")  # type: ignore[no-any-return]
+    if pyarrow.types.is_duration(kind):
+        return (
+            1e-9
+            * column.cast(pyarrow.duration("ns")).cast(pyarrow.int64()).cast(pyarrow.float64(), safe=False).to_numpy()
+        )  # type: ignore[no-any-return]
+    if pyarrow.types.is_integer(kind) and not column.null_count:
+        return np.asarray(column.to_numpy())
+    if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind) or pyarrow.types.is_time(kind):
+        text = np.array([str(cell.as_py() or "") for cell in column])
+        numbers = np.array([float(cell) if _NUMBER.fullmatch(cell.strip()) else np.nan for cell in text])
+        return numbers if np.isfinite(numbers).mean() > 0.5 else text
+    try:
+        return np.asarray(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
+    except (pyarrow.ArrowException, ValueError):
+        return np.full(len(column), np.nan)
