@@ -69,10 +69,10 @@ def identify(given: IdentifyOptions) -> None:
     reading = given.log_columns.reading
     options.make_place(out)
     options.make_place(page)
-    with show.progress("identify"):
+    with show.progress("identify") as advance:
         found = fit(
             list(given.logs), given.car, mass=given.mass, wheelbase=given.wheelbase, reading=reading,
-            computation=given.computation,
+            computation=given.computation, progress=advance,
         )  # fmt: skip
     show.say_result(identification_result(found), as_json)
     for reason in found.reasons:

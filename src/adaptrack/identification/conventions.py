@@ -22,8 +22,7 @@ DELAYS = np.arange(0.0, 1.01, 0.1)
 GRADIENTS = (0.003, 0.002, 0.005, 0.001, 0.0, 0.008, -0.001, -0.002, 0.012, 0.018, 0.026, 0.036, 0.05)
 """s, between command and yaw rate; rad s^2/m, understeer: all that are tried, usual ones first."""
 BETTER = 0.9
-"""Share of what a more usual gradient leaves unexplained that another must leave at most: at an even speed all gradients
-fit alike."""
+"""Share of what a more usual gradient leaves unexplained that another may leave: at an even speed all fit alike."""
 WINDOW = 0.5
 """s to either side, over which signals are averaged before they are compared."""
 LEAST_BOTH = 100

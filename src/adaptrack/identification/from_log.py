@@ -15,6 +15,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import Shown, tells
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed import without_computed
@@ -72,6 +73,7 @@ class Fit(NamedTuple):
     beliefs: dict[str, Prior]
 
 
+@tells("identify")
 @checked
 def identify(
     log: str | os.PathLike[str] | Mapping[str, object] | Sequence[str | os.PathLike[str] | Mapping[str, object]],
@@ -82,6 +84,7 @@ def identify(
     reading: Reading | None = None,
     known: Mapping[str, Prior] | None = None,
     computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
+    progress: Shown | None = None,
 ) -> Identification:
     """Identify a car from a log of its driving, or several.
 
@@ -102,6 +105,8 @@ def identify(
     computation
         Of the log's dead time that lies in the controller's computation: it is taken off what the car's file
         gets. By default what the profile of an own trajectory says, else 0.
+    progress
+        Called with the stage, and how many of its logs are done, of how many. By default long work says how far it is.
 
     Raises
     ------
@@ -118,12 +123,16 @@ def identify(
     read = [read_columns(each, reading or Reading()) for each in sources]
     if computation is not None:
         read = [replace(each, computation=computation) for each in read]
-    fits = _fits(read, believed, beliefs)
-    alone = [_alone(each, curve) for each in fits]
+    show: Shown = progress or (lambda *_: None)
+    fits = _fits(read, believed, beliefs, show)
+    alone = []
+    for fit in fits:
+        show("validation", len(alone), len(fits))
+        alone.append(_alone(fit, curve))
     return alone[0] if len(alone) == 1 else _together(fits, alone)
 
 
-def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior]) -> list[Fit]:
+def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: Shown) -> list[Fit]:
     """Each log by itself; ratios that are to be found are measured from one guess."""
     own = [dict(beliefs) for _ in read]
     prepared = [_prepared(columns, believed, each) for columns, each in zip(read, own, strict=True)]
@@ -131,10 +140,11 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
     if len(unknown) > 1:
         common = float(np.median(unknown))
         prepared = [_prepared(columns, believed, each, common) for columns, each in zip(read, own, strict=True)]
-    return [
-        Fit(likelihood, *optimum(likelihood), columns, each)
-        for likelihood, columns, each in zip(prepared, read, own, strict=True)
-    ]
+    fits = []
+    for likelihood, columns, each in zip(prepared, read, own, strict=True):
+        show("fit", len(fits), len(read))
+        fits.append(Fit(likelihood, *optimum(likelihood), columns, each))
+    return fits
 
 
 def _alone(fit: Fit, curve: Tyre) -> Identification:
@@ -145,10 +155,11 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     validation, series = _validated(likelihood, z, log, car, beliefs)
     kept, against, open_ratio = _ratio(fit, estimates)
     reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
+    limits = _ambiguous(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
     rows = [i for i, name in enumerate(estimates) if name in kept]
     return Identification(
-        kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation,
-        _ambiguous(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio, log, car, curve, columns.computation, series, tuple(reasons),
+        kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car, curve,
+        columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
 

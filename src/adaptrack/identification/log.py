@@ -19,7 +19,8 @@ SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")
 STANDING = 1.5
 """m/s, below which samples are left out: slip angles are ill-defined."""
 SHORTEST_PERIOD, LONGEST_PERIOD, GAP_PERIODS, LEAST_GAP = 5e-4, 0.12, 5.0, 0.3
-"""s, of the samples, least (of a short log) and most; a pause longer than so many periods and so long (s) begins a new segment."""
+"""s, of the samples, least (of a short log) and most; a pause longer than so many periods and so long (s) begins a new
+segment."""
 LEAST_SEGMENT, LEAST_DRIVEN = 3.0, 20.0
 """s, of driving, in one piece and in all."""
 LEAST_ACCELERATION = 0.1
@@ -109,11 +110,6 @@ def log_of(
     if time.size < 50:
         raise InvalidInput(f"log: {time.size} rows with a time of their own: too few; {LEAST_DRIVEN:g} s are needed.")
     period = check_times(time)
-    if period > LONGEST_PERIOD:
-        raise InvalidInput(
-            f"log: a sample every {period:g} s (median): 10 Hz and up is needed. If the times are not seconds, say "
-            "so: --units time=ms (us, ns)."
-        )
     if not np.isfinite(data["command"]).any():
         commanded = False
         data["command"] = data["wheel"].copy()
@@ -136,7 +132,7 @@ def check_times(time: Array) -> float:
     Raises
     ------
     InvalidInput
-        When the samples are nearer to each other than those of any car.
+        When the samples are too rare, or nearer to each other than those of any car.
     """
     period = float(np.median(np.diff(time)))
     span = float(time[-1] - time[0])
@@ -144,6 +140,11 @@ def check_times(time: Array) -> float:
         raise InvalidInput(
             f"log: {span:.2g} s of log, {1e6 * period:.3g} microseconds between samples: is the time in s? If so, say "
             "--units time=s (ms, us, ns)."
+        )
+    if period > LONGEST_PERIOD:
+        raise InvalidInput(
+            f"log: a sample every {period:g} s (median): 10 Hz and up is needed. If the times are not seconds, say "
+            "so: --units time=ms (us, ns)."
         )
     return period
 

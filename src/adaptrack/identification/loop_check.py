@@ -36,7 +36,7 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     Raises
     ------
     InvalidInput
-        When there is no time, or no speed, or the times are too near to each other.
+        When there is no time, or no speed, or the times cannot be in s.
     """
     values = columns.values
     for name in ("time", "speed"):

@@ -54,12 +54,13 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0},
 }
 _SHORT = {
-    "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radps": "rad/s", "rad_s": "rad/s", "rad/s": "rad/s",
-    "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "degs": "deg/s", "deg_per_s": "deg/s",
-    "deg_sec": "deg/s", "deg_per_sec": "deg/s", "deg/sec": "deg/s", "degrees_per_second": "deg/s", "rads": "rad/s",
-    "rad_per_s": "rad/s", "rad_sec": "rad/s", "rad_per_sec": "rad/s", "rad/sec": "rad/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h",
-    "kmph": "km/h", "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us",
-    "ns": "ns", "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
+    "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radps": "rad/s", "rad_s": "rad/s",
+    "rad/s": "rad/s", "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "degs": "deg/s",
+    "deg_per_s": "deg/s", "deg_sec": "deg/s", "deg_per_sec": "deg/s", "deg/sec": "deg/s",
+    "degrees_per_second": "deg/s", "rads": "rad/s", "rad_per_s": "rad/s", "rad_sec": "rad/s", "rad_per_sec": "rad/s",
+    "rad/sec": "rad/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h", "kmph": "km/h", "km/h": "km/h", "mph": "mph",
+    "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns", "s": "s", "g": "g",
+    "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
 }  # fmt: skip
 """Units as column names have them."""
 REQUIRED = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
@@ -140,11 +141,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
     table = _arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
     found, notes = _named(table.columns, reading, where)
-    times = [found["time"]] if "time" in found else [*reading.clocks.values()][:1]
-    for column in (*times, *reading.clocks.values()):
-        if column in table.columns:
-            _read_instants(table, column, where)
-    origin = origin_of(table.columns[times[0]], _unit("time", times[0], reading, table.units)[1]) if times else 0
+    origin = _read_times(table, found.get("time"), reading, where)
     values = {}
     for signal, column in found.items():
         unit, factor = _unit(signal, column, reading, table.units)
@@ -155,15 +152,14 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         elif cells.dtype.kind in "fiu":
             values[signal] = cells * factor * sign
         elif signal in REQUIRED or signal in reading.columns:
-            raise InvalidInput(
-                _refusal_of_text(where, signal, column, cells) + f"name another one: --columns {signal}=NAME."
-            )
+            remedy = f"name another one: --columns {signal}=NAME."
+            raise InvalidInput(_refusal_of_text(where, signal, column, cells) + remedy)
         else:
             notes.append(f"{signal} is left out: the column {column!r} holds no numbers")
             continue
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
-    _on_one_clock(values, _clocks(table, reading, where, origin), reading.late, notes)
+    _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
     commanded, unknown = _at_road_wheels(values, found, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
@@ -176,21 +172,32 @@ def _arrays(source: Mapping[str, object]) -> Table:
     """Arrays by name as a table: whole numbers and instants as they are, other numbers as float64."""
     columns: dict[str, Cells] = {}
     for name, values in source.items():
-        cells = np.asarray(values)
-        columns[str(name)] = cells if cells.dtype.kind in "iuM" else reals(f"log: column {str(name)!r}", values)
+        cells = values if isinstance(values, np.ndarray) else reals(f"log: column {str(name)!r}", values)
+        plain = cells.dtype.kind in "iuM" and not isinstance(values, np.ma.MaskedArray)
+        columns[str(name)] = cells if plain else reals(f"log: column {str(name)!r}", values)
     if any(cells.ndim != 1 for cells in columns.values()):
         raise InvalidInput("log: the columns must be vectors.")
     return Table(columns, {})
 
 
-def _read_instants(table: Table, column: str, where: str) -> None:
-    """Replace the text in a column of times by instants."""
-    cells = table.columns[column]
-    if cells.dtype.kind == "U":
-        table.columns[column] = cells = instants_of(cells)
-    if cells.dtype.kind == "U":
-        remedy = "give seconds, ISO 8601 (2024-05-01T10:00:00.05), or name another column: --columns time=NAME."
-        raise InvalidInput(_refusal_of_text(where, "time", column, cells) + remedy)
+def _read_times(table: Table, time: str | None, reading: Reading, where: str) -> int:
+    """Read text in the columns of times as instants; the origin (ns) of all of them.
+
+    time: the column of the log's times
+    """
+    clocks = [time, *reading.clocks.values()] if time is not None else [*reading.clocks.values()]
+    for column in clocks:
+        if column not in table.columns:
+            raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table.columns)}")
+        cells = table.columns[column]
+        if cells.dtype.kind == "U":
+            table.columns[column] = instants_of(cells)
+        if table.columns[column].dtype.kind == "U":
+            remedy = "give seconds, ISO 8601 (2024-05-01T10:00:00.05), or name another column: --columns time=NAME."
+            raise InvalidInput(_refusal_of_text(where, "time", column, cells) + remedy)
+    if not clocks:
+        return 0
+    return origin_of(table.columns[clocks[0]], _unit("time", clocks[0], reading, table.units)[1])
 
 
 def _refusal_of_text(where: str, signal: str, column: str, cells: Cells) -> str:
@@ -198,12 +205,10 @@ def _refusal_of_text(where: str, signal: str, column: str, cells: Cells) -> str:
     return f"{where}: {signal} is the column {column!r}, which holds no numbers (its first cell: {str(cells[0])!r}); "
 
 
-def _clocks(table: Table, reading: Reading, where: str, origin: int) -> dict[str, Array]:
+def _clocks(table: Table, reading: Reading, origin: int) -> dict[str, Array]:
     """Signal -> s since an origin (ns), the times of its own clock."""
     clocks = {}
     for signal, column in reading.clocks.items():
-        if column not in table.columns:
-            raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table.columns)}")
         clocks[signal] = seconds(table.columns[column], _unit("time", column, reading, table.units)[1], origin)
     return clocks
 

@@ -1,7 +1,7 @@
 """Where the fit of a log starts: the optima of its likelihood.
 
-A short delay with soft tyres predicts nearly what a long delay with stiff ones does, so a fit that starts at one of them
-may stay there. Fits of the few quantities that matter most, from several starts, find both.
+A short delay with soft tyres predicts nearly what a long delay with stiff ones does, so a fit that starts at one of
+them may stay there. Fits of the few quantities that matter most, from several starts, find both.
 """
 
 from __future__ import annotations

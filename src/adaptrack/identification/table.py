@@ -1,4 +1,4 @@
-"""The table in a log file: columns of numbers, whole numbers, instants or text, and the units that stand below names."""
+"""The table in a log file: columns of numbers, instants or text, and the units in a row below their names."""
 
 from __future__ import annotations
 
@@ -53,10 +53,13 @@ def load_table(path: Path) -> Table:
 
 
 def origin_of(times: Cells, factor: float) -> int:
-    """ns, the first of times that are whole numbers or instants; 0 for others."""
-    whole = _nanoseconds(times, factor)
-    known = None if whole is None else whole[~np.isnat(times)] if times.dtype.kind == "M" else whole
-    return 0 if known is None or not known.size else int(known[0])
+    """ns, the first of times that are whole numbers or instants; 0 for others.
+
+    factor: s, the unit of whole numbers
+    """
+    if times.dtype.kind == "M":
+        times, factor = _whole(times)[~np.isnat(times)], 1e-9
+    return int(times[0]) * _PER_UNIT[factor] if times.dtype.kind in "iu" and times.size else 0
 
 
 def seconds(times: Cells, factor: float, origin: int) -> Array:
@@ -64,11 +67,17 @@ def seconds(times: Cells, factor: float, origin: int) -> Array:
 
     factor: s, the unit of the times; instants have their own.
     """
-    whole = _nanoseconds(times, factor)
-    if whole is None:
+    if times.dtype.kind == "M":
+        return np.where(np.isnat(times), np.nan, seconds(_whole(times), 1e-9, origin))
+    base, rest = divmod(origin, _PER_UNIT[factor])
+    if times.dtype.kind not in "iu" or abs(base) >= 2**62:
         return np.asarray(times * factor - 1e-9 * origin, dtype=np.float64)
-    since = 1e-9 * (whole - origin)
-    return np.where(np.isnat(times), np.nan, since) if times.dtype.kind == "M" else since
+    return np.asarray((times - base) * factor - 1e-9 * rest, dtype=np.float64)
+
+
+def _whole(instants: Cells) -> NDArray[np.int64]:
+    """Instants in ns."""
+    return instants.astype("datetime64[ns]").astype(np.int64)
 
 
 def instants_of(text: Cells) -> Cells:
@@ -83,13 +92,6 @@ def instants_of(text: Cells) -> Cells:
     if len(hands) < text.size:
         return text
     return np.array(hands, dtype=np.float64) @ np.array([3600.0, 60.0, 1.0])
-
-
-def _nanoseconds(times: Cells, factor: float) -> NDArray[np.int64] | None:
-    """ns of whole numbers and instants; None for others."""
-    if times.dtype.kind == "M":
-        return times.astype("datetime64[ns]").astype(np.int64)
-    return times.astype(np.int64) * _PER_UNIT[factor] if times.dtype.kind in "iu" else None
 
 
 def _parquet(path: Path, content: bytes) -> Table:

@@ -20,7 +20,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.progress import tells
+from adaptrack.base.progress import Shown, tells
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.statistics import Interval, Ratio, block_rms
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
@@ -42,8 +42,6 @@ from adaptrack.studies.observing import LEFT_OUT, PREDICTORS, QUANTITIES, Observ
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Shown = Callable[[str, int, int], None]
-"""(what is gone through, instants done, in all)"""
 
 BLOCK = 10.0
 """s, of the blocks from which intervals are drawn."""
