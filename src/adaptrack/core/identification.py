@@ -3,12 +3,14 @@
 The filter's state is [v_y (m/s), yaw rate r (rad/s), relaxed slips s_f and s_r (-), yaw (rad), wind w and g
 (m/s), push d (m/s^2)]. It is that of the single-track vehicle behind its steering:
 
-    m (dv_y/dt + v r) = cos(delta) F_f(a_f) + F_r(a_r) + s (f(w_0) + f' w - v v_y) + m (d_0 + d + c v r)
-    I_z dr/dt         = l_f cos(delta) F_f - l_r F_r + (t + s z) (f(w_0) + f' w - v v_y) + white noise
+    m (dv_y/dt + v r) = F_f(a_f) + F_r(a_r) + s (f(w_0) + f' w - v v_y) + m (d_0 + d + c v r)
+    I_z dr/dt         = l_f F_f - l_r F_r + (t + s z) (f(w_0) + f' w - v v_y) + white noise
     ds_f/dt           = (v/sigma) (tan(delta) - (v_y + l_f r)/v - s_f),   a_f = delta - atan(tan(delta) - s_f)
     ds_r/dt           = (v/sigma) (-(v_y - l_r r)/v - s_r),               a_r = atan(s_r)
     ddelta/dt         = (gain command(t - dead time) + offset - delta)/lag
 
+The lateral part of the front force is cos(delta) F_f, to which front wheels that keep the speed add up to
+sin(delta) tan(delta) F_f: with the driven axle unknown, F_f lies in the middle.
 F is the Magic Formula D sin(C atan(S a/(C D))) with the axle's stiffness S and D = mu m g times its share of the load
 (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., eq. 4.E19); f = (v^2 + W^2) limit tanh(atan(W/v)/limit)
 is the load of a side wind W, as in `plants.forces`. w and d are Gauss-Markov processes, w of second order
@@ -111,11 +113,11 @@ def _move_wheels(angle, target, lag, rate, span):
 @inlined
 def _axles(q, x, angle):
     """Lateral force (N) and its slope over the state (N), front at a wheel angle (rad), and rear."""
-    load, along, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), cos(angle), x[STATE.slip_rear]
-    course = sin(angle) / along - x[STATE.slip_front]
+    load, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), x[STATE.slip_rear]
+    course = sin(angle) / cos(angle) - x[STATE.slip_front]
     front, slope_front = _tyre(angle - atan(course), q.front, load * q.lr, q.shape_factor)
     rear, slope_rear = _tyre(atan(slip_rear), q.rear, load * q.lf, q.shape_factor)
-    return along * front, along * slope_front / (1.0 + square(course)), rear, slope_rear / (1.0 + square(slip_rear))
+    return front, slope_front / (1.0 + square(course)), rear, slope_rear / (1.0 + square(slip_rear))
 
 
 @inlined

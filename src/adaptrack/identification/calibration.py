@@ -3,7 +3,8 @@
 A standard error s is replaced by sqrt((factor s)^2 + floor^2 + (share |value|)^2). Floors and shares are what a longer
 log does not make smaller: the time between samples and its steps, and the shape of the tyres' curve, of which only one
 number is fitted (a brush tyre at a quarter of its grip is 8 % softer than its slope at the origin, Pacejka,
-*Tire and Vehicle Dynamics*, 3rd ed., section 3.2). The factors are such that 90 % intervals held the truth in 90 % of
+*Tire and Vehicle Dynamics*, 3rd ed., section 3.2). They grow with the square of the wheels' angle in tight bends:
+there driving and braking forces, which no log of this kind holds, turn the car, too. The factors are such that 90 % intervals held the truth in 90 % of
 training logs: of a foreign plant (`benchmarks/identifying_foreign.py`, seeds from 40000), and for the steering offset
 and the understeer gradient own windy drives (`benchmarks/identifying.py`, seeds 1300 to 1359). How well intervals hold
 on kinds of logs that the factors were not found on, the first of these prints.
@@ -24,29 +25,36 @@ class Correction(NamedTuple):
     """in the unit of the quantity"""
     share: float = 0.0
     """of the value"""
+    floor_in_bends: float = 0.0
+    """in the unit of the quantity per rad^2 of the wheels"""
+    share_in_bends: float = 0.0
+    """of the value per rad^2 of the wheels"""
 
 
 CORRECTIONS: Mapping[str, Correction] = {
-    "delay": Correction(1.2, 0.003),
-    "lag": Correction(1.2, 0.003),
-    "dead_time": Correction(1.2, 0.003),
+    "delay": Correction(1.2, 0.003, floor_in_bends=0.05),
+    "lag": Correction(1.2, 0.003, floor_in_bends=0.1),
+    "dead_time": Correction(1.2, 0.003, floor_in_bends=0.1),
     "lateness": Correction(1.2, 0.003),
-    "understeer_gradient": Correction(1.15, 1e-4, 0.05),
-    "front": Correction(1.15, share=0.06),
-    "rear": Correction(1.15, share=0.06),
+    "understeer_gradient": Correction(1.15, 1e-4, 0.05, 1e-3),
+    "front": Correction(1.15, share=0.06, share_in_bends=2.0),
+    "rear": Correction(1.15, share=0.06, share_in_bends=2.0),
     "offset": Correction(1.3),
     "vy_ahead": Correction(1.4),
-    "relaxation": Correction(2.0),
+    "relaxation": Correction(2.0, share_in_bends=6.0),
+    "rate": Correction(share=0.03),
     "ratio": Correction(share=0.002),
 }
 """By the names of the estimates; those of the others are kept."""
 
 
-def corrected(name: str, spread: float, value: float, positive: bool, before: float) -> float:
+def corrected(name: str, spread: float, value: float, positive: bool, before: float, wheels: float = 0.0) -> float:
     """The corrected standard error, at most what was believed before.
 
-    spread, before: of a value, or of its logarithm where it is positive.
+    spread, before: of a value, or of its logarithm where it is positive; wheels: rad, their angle in tight bends.
     """
-    factor, floor, share = CORRECTIONS.get(name, Correction())
+    correction = CORRECTIONS.get(name, Correction())
+    floor = correction.floor + correction.floor_in_bends * wheels**2
+    share = correction.share + correction.share_in_bends * wheels**2
     unit = 1.0 / value if positive else 1.0
-    return min(math.hypot(factor * spread, floor * unit, share * value * unit), max(before, spread))
+    return min(math.hypot(correction.factor * spread, floor * unit, share * value * unit), max(before, spread))

@@ -358,7 +358,7 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
             value = math.exp(centre[i]) if positive else float(centre[i])
-            wider[i] = corrected(name, spread[i], value, positive, prior[i]) / spread[i]
+            wider[i] = corrected(name, spread[i], value, positive, prior[i], likelihood.log.tightest) / spread[i]
     spread *= wider
     found = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
@@ -424,7 +424,7 @@ def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
     before = np.linalg.norm(jacobian, axis=1)
     for i, (name, _, _, positive, _) in enumerate(rows):
         value = math.exp(mean[i]) if positive else float(mean[i])
-        spread[i] = corrected(name, spread[i], value, positive, before[i])
+        spread[i] = corrected(name, spread[i], value, positive, before[i], fit.likelihood.log.tightest)
     return Said(mean, spread**2)
 
 

@@ -70,6 +70,11 @@ class Log:
         return float(np.median(np.diff(self.time)))
 
     @property
+    def tightest(self) -> float:
+        """rad, angle of the road wheels that 1 % of the samples exceed."""
+        return float(np.percentile(np.abs(self.command - np.median(self.command)), 99))
+
+    @property
     def segments(self) -> int:
         """Pieces between gaps and halts."""
         return int(self.begins.sum())

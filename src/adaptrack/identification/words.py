@@ -15,6 +15,8 @@ FAST, LITTLE = 15.0, 0.3
 """m/s; m/s^2, RMS lateral acceleration below which there is hardly any steering."""
 LOOSE = 1.25
 """Factor from which a stiffness is loose."""
+TIGHT = 0.2
+"""rad, of the road wheels, from which bends are said to be tight."""
 SPLIT = 0.05
 """s, half width of the lag's interval from which the split of the delay is said to be open."""
 EVEN_SPEED, COLOURED, POOR, HARD = 0.05, 0.1, 0.5, 4.0
@@ -39,6 +41,11 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
                 f"what the axles have in common is open, their balance is not: understeer gradient "
                 f"{degrees_per_g(gradient.value):.2g} deg/g within {within:.2g}"
             )
+    if log.tightest > TIGHT:
+        said.append(
+            f"tight bends, wheels at {math.degrees(log.tightest):.0f} degrees: driving and braking forces, which the "
+            "log lacks, turn the car too, so intervals are wider"
+        )
     if log.commanded:
         lag = estimates["lag"]
         if 0.5 * (lag.high - lag.low) > SPLIT:
