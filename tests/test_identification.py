@@ -61,8 +61,8 @@ def integrated(
         v = float(np.interp(t, time, pace))
         late = min(max(math.floor((t - DEAD_TIME) / PERIOD + 1e-9), 0), time.size - 1)
         return [
-            (front * af * math.cos(delta) + rear * ar) / CAR.mass - v * r,
-            (CAR.lf * front * af * math.cos(delta) - CAR.lr * rear * ar) / CAR.yaw_inertia,
+            (front * af + rear * ar) / CAR.mass - v * r,
+            (CAR.lf * front * af - CAR.lr * rear * ar) / CAR.yaw_inertia,
             v * (delta - math.atan2(vy + CAR.lf * r, v) - af) / RELAXATION,
             -v * (math.atan2(vy - CAR.lr * r, v) + ar) / RELAXATION,
             (command[late] + BIAS - delta) / LAG,
@@ -70,7 +70,7 @@ def integrated(
 
     start = [0.0, 0.0, 0.0, 0.0, command[0] + BIAS]
     x = odeint(slope, start, time, tfirst=True, hmax=0.01, rtol=1e-7, atol=1e-9).T
-    force = (front * x[2] * np.cos(x[4]) + rear * x[3]) / CAR.mass
+    force = (front * x[2] + rear * x[3]) / CAR.mass
     return {
         "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),
         "wheel": x[4], "acceleration": force, "vy": x[0],
@@ -122,13 +122,14 @@ def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
 
 
 def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
-    factor, floor, _ = CORRECTIONS["dead_time"]
+    factor, floor, *_ = CORRECTIONS["dead_time"]
     assert corrected("dead_time", 0.01, 0.1, True, 0.7) == pytest.approx(math.hypot(factor * 0.01, floor / 0.1))
-    factor, floor, share = CORRECTIONS["understeer_gradient"]
+    factor, floor, share, *_ = CORRECTIONS["understeer_gradient"]
     wide = math.hypot(factor * 1e-4, floor, share * 0.004)
     assert corrected("understeer_gradient", 1e-4, -0.004, False, 0.7) == pytest.approx(wide)
     assert corrected("delay", 0.69, 0.3, True, 0.7) == 0.7
-    assert corrected("yaw_inertia", 0.05, 2000.0, True, 0.1) == 0.05
+    assert corrected("lf", 0.05, 1.2, True, 0.1) == 0.05
+    assert corrected("front", 0.05, 1e5, True, 0.7, wheels=0.3) > 2.0 * corrected("front", 0.05, 1e5, True, 0.7)
 
 
 @pytest.mark.compiled

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import odeint
 from typer.testing import CliRunner
 
 import adaptrack as at
@@ -18,6 +19,7 @@ from adaptrack.identification.consistency import Said, contradictions
 from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.from_log import prepare
 from adaptrack.identification.log import log_of
+from adaptrack.identification.long_log import MAX_SAMPLES, condensed
 from adaptrack.identification.reading import Reading, read_columns
 from test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
 
@@ -242,3 +244,61 @@ def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothin
     done = CliRunner().invoke(app, [*words, "--anyway"])
     assert done.exit_code == 0, done.output
     assert at.load_vehicle(mine).name == "mine"
+
+
+def slowly_steered() -> dict[str, np.ndarray]:
+    """A minute at 22 m/s, steered below 0.6 Hz, behind a lag of 0.32 s and a dead time of 0.1 s."""
+    rng, time, lag, speed = np.random.default_rng(1), PERIOD * np.arange(1200), 0.32, 22.0
+    waves = rng.uniform(0.03, 0.6, 8), rng.uniform(0.0, math.tau, 8)
+    command = 0.012 * np.sin(math.tau * np.outer(time, waves[0]) + waves[1]).sum(axis=1) / math.sqrt(8)
+    front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
+
+    def slope(t: float, x: np.ndarray) -> list[float]:
+        vy, r, delta = x
+        forces = front * (delta - (vy + CAR.lf * r) / speed), rear * (CAR.lr * r - vy) / speed
+        late = held(command, 2)[min(int(t / PERIOD + 1e-9), time.size - 1)]
+        turning = (CAR.lf * forces[0] - CAR.lr * forces[1]) / CAR.yaw_inertia
+        return [sum(forces) / CAR.mass - speed * r, turning, (late - delta) / lag]
+
+    yaw_rate = odeint(slope, [0.0, 0.0, command[0]], time, tfirst=True, hmax=0.01)[:, 1]
+    noise = 0.003 * rng.standard_normal(time.size)
+    return {"time": time, "command": command, "speed": speed + 0.3 * np.sin(0.1 * time), "yaw_rate": yaw_rate + noise}
+
+
+@pytest.mark.compiled
+def test_a_log_that_a_soft_and_a_stiff_car_fit_equally_well_has_intervals_that_hold_both_and_says_so() -> None:
+    soft = CAR.replace(stiffness_front=0.5 * CAR.stiffness_front, stiffness_rear=0.5 * CAR.stiffness_rear)
+    found = at.identify(slowly_steered(), soft)
+    assert found["front"].low < 2.0 * CAR.stiffness_front < found["front"].high
+    assert found["rear"].low < 2.0 * CAR.stiffness_rear < found["rear"].high
+    assert any(sentence.startswith("different cars fit the log equally well") for sentence in found.findings)
+    assert "yaw_inertia" not in found.estimates
+    assert found.car.yaw_inertia == soft.yaw_inertia
+
+
+def test_honest_commands_of_a_car_that_slows_a_little_in_bends_fit_its_yaw_rate() -> None:
+    rng, time = np.random.default_rng(0), PERIOD * np.arange(2000)
+    phases, noise = rng.uniform(0.0, math.tau, 6), 0.02 * rng.standard_normal(time.size)
+    command = 0.01 * np.sin(np.outer(time, [0.1, 0.2, 0.3, 0.5, 0.7, 1.0]) + phases).sum(axis=1)
+    yaw_rate = 25.0 * held(command, 5) / (CAR.wheelbase + CAR.understeer_gradient * 625.0) + noise
+    log = {"time": time, "command": command, "speed": 25.0 - 40.0 * np.abs(command), "yaw_rate": yaw_rate}
+    check_conventions(log_of(log, CAR.wheelbase), CAR.wheelbase)
+
+
+def test_a_long_log_in_means_of_its_samples_keeps_delay_and_turning() -> None:
+    time = 0.01 * np.arange(60_000)
+    command, speed = 0.02 * np.sin(time), 15.0 + 3.0 * np.sin(0.05 * time)
+    late = 0.1 * np.sin(time - 0.2)
+    log = log_of({"time": time, "command": command, "speed": speed, "yaw_rate": late}, CAR.wheelbase)
+    short = condensed(log)
+    assert short.samples <= MAX_SAMPLES
+    assert short.period == pytest.approx(0.05)
+    assert "means of 5" in short.notes[-1]
+    middle = slice(10, -10)  # the command that is held for 0.05 s is that of the middle
+    assert np.allclose(short.command[middle], 0.02 * np.sin(short.time[middle] + 0.02), atol=1e-5)
+    assert np.allclose(short.yaw_rate[middle], 0.1 * np.sin(short.time[middle] - 0.2), atol=1e-4)
+    hour = log_of({"time": 0.05 * np.arange(60_000), "command": command, "speed": speed,
+                   "yaw_rate": np.where(time < 300.0, 0.1, 1.0) * late}, CAR.wheelbase)  # fmt: skip
+    turning = condensed(hour)
+    assert turning.samples <= MAX_SAMPLES
+    assert turning.time.min() >= 1500.0 - 30.0

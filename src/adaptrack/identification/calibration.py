@@ -4,10 +4,12 @@ A standard error s is replaced by sqrt((factor s)^2 + floor^2 + (share |value|)^
 log does not make smaller: the time between samples and its steps, and the shape of the tyres' curve, of which only one
 number is fitted (a brush tyre at a quarter of its grip is 8 % softer than its slope at the origin, Pacejka,
 *Tire and Vehicle Dynamics*, 3rd ed., section 3.2). They grow with the square of the wheels' angle in tight bends:
-there driving and braking forces, which no log of this kind holds, turn the car, too. The factors are such that 90 % intervals held the truth in 90 % of
-training logs: of a foreign plant (`benchmarks/identifying_foreign.py`, seeds from 40000), and for the steering offset
-and the understeer gradient own windy drives (`benchmarks/identifying.py`, seeds 1300 to 1359). How well intervals hold
-on kinds of logs that the factors were not found on, the first of these prints.
+there driving and braking forces, which no log of this kind holds, turn the car, too.
+
+The factors are such that 90 % intervals held the truth in 90 % of training logs: of a foreign plant
+(`benchmarks/identifying_foreign.py`, seeds from 40000), and for the steering offset and the understeer gradient own
+windy drives (`benchmarks/identifying.py`, seeds 1300 to 1359). How well intervals hold on kinds of logs that the
+factors were not found on, the first of these prints.
 """
 
 from __future__ import annotations

@@ -161,13 +161,11 @@ def _cells(column: Any) -> Cells:
     import pyarrow
 
     kind = column.type
+    if pyarrow.types.is_duration(kind):
+        whole = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
+        column, kind = whole.cast(pyarrow.timestamp("ns")), pyarrow.timestamp("ns")
     if pyarrow.types.is_timestamp(kind) or pyarrow.types.is_date(kind):
         return column.cast(pyarrow.timestamp("ns"), safe=False).to_numpy().astype("datetime64[ns]")  # type: ignore[no-any-return]
-    if pyarrow.types.is_duration(kind):
-        return (
-            1e-9
-            * column.cast(pyarrow.duration("ns")).cast(pyarrow.int64()).cast(pyarrow.float64(), safe=False).to_numpy()
-        )  # type: ignore[no-any-return]
     if pyarrow.types.is_integer(kind) and not column.null_count:
         return np.asarray(column.to_numpy())
     if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind) or pyarrow.types.is_time(kind):
