@@ -19,7 +19,7 @@ from adaptrack.identification.consistency import Said, contradictions
 from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.from_log import prepare
 from adaptrack.identification.log import log_of
-from adaptrack.identification.long_log import MAX_SAMPLES, condensed
+from adaptrack.identification.long_log import MAX_SAMPLES, shorten_log
 from adaptrack.identification.reading import Reading, read_columns
 from test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
 
@@ -268,12 +268,12 @@ def slowly_steered() -> dict[str, np.ndarray]:
 @pytest.mark.compiled
 def test_a_log_that_a_soft_and_a_stiff_car_fit_equally_well_has_intervals_that_hold_both_and_says_so() -> None:
     soft = CAR.replace(stiffness_front=0.5 * CAR.stiffness_front, stiffness_rear=0.5 * CAR.stiffness_rear)
-    found = at.identify(slowly_steered(), soft)
-    assert found["front"].low < 2.0 * CAR.stiffness_front < found["front"].high
-    assert found["rear"].low < 2.0 * CAR.stiffness_rear < found["rear"].high
-    assert any(sentence.startswith("different cars fit the log equally well") for sentence in found.findings)
-    assert "yaw_inertia" not in found.estimates
-    assert found.car.yaw_inertia == soft.yaw_inertia
+    result = at.identify(slowly_steered(), soft)
+    assert result["front"].low < 2.0 * CAR.stiffness_front < result["front"].high
+    assert result["rear"].low < 2.0 * CAR.stiffness_rear < result["rear"].high
+    assert any(sentence.startswith("different cars fit the log equally well") for sentence in result.findings)
+    assert "yaw_inertia" not in result.estimates
+    assert result.car.yaw_inertia == soft.yaw_inertia
 
 
 def test_honest_commands_of_a_car_that_slows_a_little_in_bends_fit_its_yaw_rate() -> None:
@@ -290,7 +290,7 @@ def test_a_long_log_in_means_of_its_samples_keeps_delay_and_turning() -> None:
     command, speed = 0.02 * np.sin(time), 15.0 + 3.0 * np.sin(0.05 * time)
     late = 0.1 * np.sin(time - 0.2)
     log = log_of({"time": time, "command": command, "speed": speed, "yaw_rate": late}, CAR.wheelbase)
-    short = condensed(log)
+    short = shorten_log(log)
     assert short.samples <= MAX_SAMPLES
     assert short.period == pytest.approx(0.05)
     assert "means of 5" in short.notes[-1]
@@ -299,6 +299,6 @@ def test_a_long_log_in_means_of_its_samples_keeps_delay_and_turning() -> None:
     assert np.allclose(short.yaw_rate[middle], 0.1 * np.sin(short.time[middle] - 0.2), atol=1e-4)
     hour = log_of({"time": 0.05 * np.arange(60_000), "command": command, "speed": speed,
                    "yaw_rate": np.where(time < 300.0, 0.1, 1.0) * late}, CAR.wheelbase)  # fmt: skip
-    turning = condensed(hour)
+    turning = shorten_log(hour)
     assert turning.samples <= MAX_SAMPLES
     assert turning.time.min() >= 1500.0 - 30.0

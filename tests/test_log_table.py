@@ -110,6 +110,6 @@ def test_a_column_of_text_is_refused_with_its_first_cell_and_a_remedy(tmp_path) 
 def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words: str, name: str, said: str) -> None:
     times = TIME if name == "time_ms" else 1000.0 * TIME
     path = written(tmp_path, {name: times} | SIGNALS)
-    done = CliRunner().invoke(app, words.format(path).split())
-    assert isinstance(done.exception, InvalidInput)
-    assert said in str(done.exception)
+    result = CliRunner().invoke(app, words.format(path).split())
+    assert isinstance(result.exception, InvalidInput)
+    assert said in str(result.exception)

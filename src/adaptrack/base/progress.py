@@ -17,7 +17,7 @@ FIRST, NEXT, RAREST = 2.0, 5.0, 60.0
 """s, until the first word, until the next, and at most, in work of hours."""
 
 _log = logging.getLogger("adaptrack")
-Shown = Callable[[str, int, int], None]
+ProgressCall = Callable[[str, int, int], None]
 """What long work calls: its stage, the steps done, the steps in all."""
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import Shown, tells
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed import without_computed
@@ -24,7 +24,7 @@ from adaptrack.identification.conventions import check_conventions, check_positi
 from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
-from adaptrack.identification.long_log import condensed
+from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.quantities import (
     INDEX,
     QUANTITIES,
@@ -84,7 +84,7 @@ def identify(
     reading: Reading | None = None,
     known: Mapping[str, Prior] | None = None,
     computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
-    progress: Shown | None = None,
+    progress: ProgressCall | None = None,
 ) -> Identification:
     """Identify a car from a log of its driving, or several.
 
@@ -123,16 +123,16 @@ def identify(
     read = [read_columns(each, reading or Reading()) for each in sources]
     if computation is not None:
         read = [replace(each, computation=computation) for each in read]
-    show: Shown = progress or (lambda *_: None)
+    show: ProgressCall = progress or (lambda *_: None)
     fits = _fits(read, believed, beliefs, show)
-    alone = []
+    alone: list[Identification] = []
     for fit in fits:
         show("validation", len(alone), len(fits))
         alone.append(_alone(fit, curve))
     return alone[0] if len(alone) == 1 else _together(fits, alone)
 
 
-def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: Shown) -> list[Fit]:
+def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall) -> list[Fit]:
     """Each log by itself; ratios that are to be found are measured from one guess."""
     own = [dict(beliefs) for _ in read]
     prepared = [_prepared(columns, believed, each) for columns, each in zip(read, own, strict=True)]
@@ -140,7 +140,7 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
     if len(unknown) > 1:
         common = float(np.median(unknown))
         prepared = [_prepared(columns, believed, each, common) for columns, each in zip(read, own, strict=True)]
-    fits = []
+    fits: list[Fit] = []
     for likelihood, columns, each in zip(prepared, read, own, strict=True):
         show("fit", len(fits), len(read))
         fits.append(Fit(likelihood, *optimum(likelihood), columns, each))
@@ -155,7 +155,7 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     validation, series = _validated(likelihood, z, log, car, beliefs)
     kept, against, open_ratio = _ratio(fit, estimates)
     reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
-    limits = _ambiguous(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
+    limits = _rivals_sentence(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
     rows = [i for i, name in enumerate(estimates) if name in kept]
     return Identification(
         kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car, curve,
@@ -205,7 +205,7 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
     """
     check_positions(columns.values)
     values, computed = without_computed(columns.values, believed.wheelbase)
-    cleaned = condensed(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
+    cleaned = shorten_log(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
     cleaned = replace(cleaned, ratio=columns.ratio)
     if columns.ratio_unknown:
         known = believed.steering.ratio if believed.steering is not None else None
@@ -274,8 +274,8 @@ def optimum(likelihood: Likelihood) -> tuple[Array, Array, tuple[Array, ...]]:
     z, at = likelihood.fit(likelihood.widen_gusts(z))
     covariance = likelihood.covariance(at)
     for rival in rivals:
-        apart = (rival - z)[likelihood.free]
-        covariance += np.outer(apart, apart)
+        gap = (rival - z)[likelihood.free]
+        covariance += np.outer(gap, gap)
     return z, covariance, rivals
 
 
@@ -377,7 +377,7 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     return found, wider[:, None] * jacobian
 
 
-def _ambiguous(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
+def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
     """A sentence on cars that fit a log equally well; none where there is one."""
     if not rivals:
         return ()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.identification.table import Cells, Table, instants_of, load_table, origin_of, seconds
+from adaptrack.identification.table import CellArray, LogTable, find_origin, load_table, parse_instants, seconds
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ _SHORT = {
     "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
 }  # fmt: skip
 """Units as column names have them."""
-REQUIRED = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
+NEEDED_SIGNALS = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
 """Signals, beside the time, whose columns must hold numbers."""
 FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3
 """Periods of its own clock, and s: a signal has no value farther than the larger of them from its samples."""
@@ -139,7 +139,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         When it is no table of numbers, or names columns that it does not have.
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
-    table = _arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
+    table = _table_from_arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
     found, notes = _named(table.columns, reading, where)
     origin = _read_times(table, found.get("time"), reading, where)
     values = {}
@@ -151,9 +151,9 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
             values[signal] = seconds(cells, factor, origin)
         elif cells.dtype.kind in "fiu":
             values[signal] = cells * factor * sign
-        elif signal in REQUIRED or signal in reading.columns:
+        elif signal in NEEDED_SIGNALS or signal in reading.columns:
             remedy = f"name another one: --columns {signal}=NAME."
-            raise InvalidInput(_refusal_of_text(where, signal, column, cells) + remedy)
+            raise InvalidInput(_text_refusal(where, signal, column, cells) + remedy)
         else:
             notes.append(f"{signal} is left out: the column {column!r} holds no numbers")
             continue
@@ -168,19 +168,19 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     return Columns(values, tuple(notes), where, table.computation, commanded, unknown, ratio)
 
 
-def _arrays(source: Mapping[str, object]) -> Table:
+def _table_from_arrays(source: Mapping[str, object]) -> LogTable:
     """Arrays by name as a table: whole numbers and instants as they are, other numbers as float64."""
-    columns: dict[str, Cells] = {}
+    columns: dict[str, CellArray] = {}
     for name, values in source.items():
         cells = values if isinstance(values, np.ndarray) else reals(f"log: column {str(name)!r}", values)
         plain = cells.dtype.kind in "iuM" and not isinstance(values, np.ma.MaskedArray)
         columns[str(name)] = cells if plain else reals(f"log: column {str(name)!r}", values)
     if any(cells.ndim != 1 for cells in columns.values()):
         raise InvalidInput("log: the columns must be vectors.")
-    return Table(columns, {})
+    return LogTable(columns, {})
 
 
-def _read_times(table: Table, time: str | None, reading: Reading, where: str) -> int:
+def _read_times(table: LogTable, time: str | None, reading: Reading, where: str) -> int:
     """Read text in the columns of times as instants; the origin (ns) of all of them.
 
     time: the column of the log's times
@@ -191,21 +191,21 @@ def _read_times(table: Table, time: str | None, reading: Reading, where: str) ->
             raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table.columns)}")
         cells = table.columns[column]
         if cells.dtype.kind == "U":
-            table.columns[column] = instants_of(cells)
+            table.columns[column] = parse_instants(cells)
         if table.columns[column].dtype.kind == "U":
             remedy = "give seconds, ISO 8601 (2024-05-01T10:00:00.05), or name another column: --columns time=NAME."
-            raise InvalidInput(_refusal_of_text(where, "time", column, cells) + remedy)
+            raise InvalidInput(_text_refusal(where, "time", column, cells) + remedy)
     if not clocks:
         return 0
-    return origin_of(table.columns[clocks[0]], _unit("time", clocks[0], reading, table.units)[1])
+    return find_origin(table.columns[clocks[0]], _unit("time", clocks[0], reading, table.units)[1])
 
 
-def _refusal_of_text(where: str, signal: str, column: str, cells: Cells) -> str:
+def _text_refusal(where: str, signal: str, column: str, cells: CellArray) -> str:
     """The first half of a sentence on a column without numbers."""
     return f"{where}: {signal} is the column {column!r}, which holds no numbers (its first cell: {str(cells[0])!r}); "
 
 
-def _clocks(table: Table, reading: Reading, origin: int) -> dict[str, Array]:
+def _clocks(table: LogTable, reading: Reading, origin: int) -> dict[str, Array]:
     """Signal -> s since an origin (ns), the times of its own clock."""
     clocks = {}
     for signal, column in reading.clocks.items():
@@ -309,7 +309,7 @@ def _plain(column: str) -> tuple[str, str]:
     return name, ""
 
 
-def _named(table: Mapping[str, Cells], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
+def _named(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
     """Signal -> column: those that are given, then those whose name is known."""
     found: dict[str, str] = {}
     for signal, column in reading.columns.items():
@@ -349,7 +349,7 @@ def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) ->
     if named is None and "" in reading.units and dimension in ("angle", "yaw_rate"):
         named = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
     if named is None:
-        named = _plain(column)[1] or _unit_below(signal, column, row.get(column, ""))
+        named = _plain(column)[1] or _unit_from_row(signal, column, row.get(column, ""))
         if dimension == "yaw_rate" and named in ("deg", "rad"):
             named += "/s"
         elif dimension == "angle":  # degs: degrees
@@ -359,7 +359,7 @@ def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) ->
     return unit, units[unit]
 
 
-def _unit_below(signal: str, column: str, cell: str) -> str:
+def _unit_from_row(signal: str, column: str, cell: str) -> str:
     """The unit in the row of units; empty where its cell is."""
     text = cell.strip("[]() ").lower().replace("²", "2").replace("°", "deg")
     unit = _SHORT.get(text, _SHORT.get(re.sub(r"[^a-z0-9]+", "_", text).strip("_"), ""))

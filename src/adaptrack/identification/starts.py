@@ -17,17 +17,17 @@ from adaptrack.identification.quantities import INDEX, QUANTITIES
 
 Array = NDArray[np.float64]
 
-DELAYS, LATENESSES = (0.12, 0.25, 0.45), (0.0, 0.2)
+START_DELAYS, START_LATENESSES = (0.12, 0.25, 0.45), (0.0, 0.2)
 """s, from which the fit of a log with a command starts; s, where only the wheel angle is logged."""
-STIFFER = 2.0
+START_STIFFNESS = 2.0
 """Factor on the stiffness of both axles in one more start."""
-ROUGH = (
+ROUGH_QUANTITIES = (
     "delay", "lag_share", "lateness", "offset", "front", "rear", "gyro_offset", "wind_spread", "noise_yaw_rate", "jolt",
 )  # fmt: skip
 """Quantities that are free in a rough fit."""
-NEAR, AS_LIKELY = 30.0, 10.0
+MAX_ROUGH_GAP, MAX_RIVAL_GAP = 30.0, 10.0
 """Differences of the objective: of rough fits that are continued, and of optima that count as equally likely."""
-SAME = 0.25
+MAX_AXLE_GAP = 0.25
 """Difference of the logarithm of an axle's stiffness up to which two optima are one."""
 
 
@@ -36,61 +36,61 @@ class Optima(NamedTuple):
 
     best: Array
     rivals: tuple[Array, ...]
-    """as likely, within `AS_LIKELY`"""
+    """as likely, within `MAX_RIVAL_GAP`"""
 
 
 def find_optima(likelihood: Likelihood) -> Optima:
     """The best of the nearby optima of a likelihood, and those that are as likely."""
-    starts = _starts(likelihood)
+    starts = _starting_points(likelihood)
     optima = [likelihood.fit(min(starts[:-1], key=likelihood.objective), NEARLY)[0]]
-    tried = list(optima)
+    refined = list(optima)
     finite = [z for z in starts if math.isfinite(likelihood.objective(z))]
     rough = sorted((_fit_roughly(likelihood, z) for z in finite), key=likelihood.objective)
-    limit = min(map(likelihood.objective, rough), default=math.inf) + NEAR
+    limit = min(map(likelihood.objective, rough), default=math.inf) + MAX_ROUGH_GAP
     for z in rough:
-        if likelihood.objective(z) <= limit and not any(_same(likelihood, z, other) for other in tried):
+        if likelihood.objective(z) <= limit and not any(_have_equal_axles(likelihood, z, other) for other in refined):
             optima.append(likelihood.fit(z, NEARLY)[0])
-            tried.append(z)
+            refined.append(z)
     objectives = [likelihood.objective(z) for z in optima]
     best = optima[int(np.argmin(objectives))]
     rivals = [
         z for z, objective in zip(optima, objectives, strict=True)
-        if objective <= min(objectives) + AS_LIKELY and not _same(likelihood, z, best)
+        if objective <= min(objectives) + MAX_RIVAL_GAP and not _have_equal_axles(likelihood, z, best)
     ]  # fmt: skip
     return Optima(best, tuple(rivals))
 
 
-def _starts(likelihood: Likelihood) -> list[Array]:
+def _starting_points(likelihood: Likelihood) -> list[Array]:
     """Starting points z: delays with the believed stiffness, then one with stiffer axles."""
-    name, values = ("delay", DELAYS) if likelihood.log.commanded else ("lateness", LATENESSES)
+    name, values = ("delay", START_DELAYS) if likelihood.log.commanded else ("lateness", START_LATENESSES)
     starts = []
-    for value, factor in (*((value, 1.0) for value in values), (values[1], STIFFER)):
+    for value, factor in (*((value, 1.0) for value in values), (values[1], START_STIFFNESS)):
         z = np.zeros(len(QUANTITIES))
         for axle in ("front", "rear"):
-            z[INDEX[axle]] = _scaled(likelihood, axle, math.log(factor))
+            z[INDEX[axle]] = _scale_shift(likelihood, axle, math.log(factor))
         median = float(likelihood.median[INDEX[name]])
-        z[INDEX[name]] = _scaled(likelihood, name, math.log(value / median) if name == "delay" else value - median)
+        z[INDEX[name]] = _scale_shift(likelihood, name, math.log(value / median) if name == "delay" else value - median)
         starts.append(z)
     return starts
 
 
-def _scaled(likelihood: Likelihood, name: str, shift: float) -> float:
+def _scale_shift(likelihood: Likelihood, name: str, shift: float) -> float:
     """A shift of a quantity (of its logarithm where it is positive) in spreads; 0 where it is not estimated."""
     place = INDEX[name]
     return shift / float(likelihood.spread[place]) if place in likelihood.free else 0.0
 
 
 def _fit_roughly(likelihood: Likelihood, z: Array) -> Array:
-    """The optimum over the quantities of `ROUGH` from a start."""
+    """The optimum over the quantities of `ROUGH_QUANTITIES` from a start."""
     every = likelihood.free
-    likelihood.free = np.array([place for place in every if QUANTITIES[place].name in ROUGH])
+    likelihood.free = np.array([place for place in every if QUANTITIES[place].name in ROUGH_QUANTITIES])
     try:
         return likelihood.fit(z, NEARLY)[0]
     finally:
         likelihood.free = every
 
 
-def _same(likelihood: Likelihood, z: Array, other: Array) -> bool:
+def _have_equal_axles(likelihood: Likelihood, z: Array, other: Array) -> bool:
     """Whether two points have nearly the same axles."""
     axles = [INDEX["front"], INDEX["rear"]]
-    return bool(np.all(np.abs((z - other)[axles]) * likelihood.spread[axles] < SAME))
+    return bool(np.all(np.abs((z - other)[axles]) * likelihood.spread[axles] < MAX_AXLE_GAP))

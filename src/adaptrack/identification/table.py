@@ -18,7 +18,7 @@ from adaptrack.drive.trajectory import FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 Array = NDArray[np.float64]
-Cells = NDArray[Any]
+CellArray = NDArray[Any]
 """(n,) float64, whole numbers, datetime64[ns], or text where most cells are no numbers."""
 
 _NOTHING = ("", "nan", "NaN", "NA", "null")
@@ -28,17 +28,17 @@ _PER_UNIT = {1.0: 1_000_000_000, 1e-3: 1_000_000, 1e-6: 1_000, 1e-9: 1}
 """ns in a unit of so many s."""
 
 
-class Table(NamedTuple):
+class LogTable(NamedTuple):
     """Columns of one length by their names."""
 
-    columns: dict[str, Cells]
+    columns: dict[str, CellArray]
     units: dict[str, str]
     """column -> its cell in the row of units below the names"""
     computation: float = 0.0
     """s, of the dead time that lies in the controller's computation, where the file tells"""
 
 
-def load_table(path: Path) -> Table:
+def load_table(path: Path) -> LogTable:
     """Load the table in a CSV or Parquet file, or in one of `Trajectory.save`.
 
     Raises
@@ -52,40 +52,40 @@ def load_table(path: Path) -> Table:
     return _parquet(path, content) if content[:4] == b"PAR1" else _csv(path, content)
 
 
-def origin_of(times: Cells, factor: float) -> int:
+def find_origin(times: CellArray, factor: float) -> int:
     """ns, the first of times that are whole numbers or instants; 0 for others.
 
     factor: s, the unit of whole numbers
     """
     if times.dtype.kind == "M":
-        times, factor = _whole(times)[~np.isnat(times)], 1e-9
+        times, factor = _nanoseconds(times)[~np.isnat(times)], 1e-9
     return int(times[0]) * _PER_UNIT[factor] if times.dtype.kind in "iu" and times.size else 0
 
 
-def seconds(times: Cells, factor: float, origin: int) -> Array:
+def seconds(times: CellArray, factor: float, origin: int) -> Array:
     """Times in s since an origin (ns), which is taken off before whole numbers beyond 2^53 are rounded.
 
     factor: s, the unit of the times; instants have their own.
     """
     if times.dtype.kind == "M":
-        return np.where(np.isnat(times), np.nan, seconds(_whole(times), 1e-9, origin))
-    base, rest = divmod(origin, _PER_UNIT[factor])
+        return np.where(np.isnat(times), np.nan, seconds(_nanoseconds(times), 1e-9, origin))
+    base, remainder = divmod(origin, _PER_UNIT[factor])
     if times.dtype.kind not in "iu" or abs(base) >= 2**62:
         return np.asarray(times * factor - 1e-9 * origin, dtype=np.float64)
-    return np.asarray((times - base) * factor - 1e-9 * rest, dtype=np.float64)
+    return np.asarray((times - base) * factor - 1e-9 * remainder, dtype=np.float64)
 
 
-def _whole(instants: Cells) -> NDArray[np.int64]:
+def _nanoseconds(instants: CellArray) -> NDArray[np.int64]:
     """Instants in ns."""
     return instants.astype("datetime64[ns]").astype(np.int64)
 
 
-def instants_of(text: Cells) -> Cells:
+def parse_instants(text: CellArray) -> CellArray:
     """Times of day in s, or instants, from text in ISO 8601; the text where a cell is neither."""
     try:
-        since = [datetime.fromisoformat(cell.strip().replace(",", ".")) for cell in text]
-        utc = [each if each.tzinfo else each.replace(tzinfo=UTC) for each in since]
-        return np.array([each.astimezone(UTC).replace(tzinfo=None) for each in utc], dtype="datetime64[ns]")
+        dates = [datetime.fromisoformat(cell.strip().replace(",", ".")) for cell in text]
+        utc = [date if date.tzinfo else date.replace(tzinfo=UTC) for date in dates]
+        return np.array([date.astimezone(UTC).replace(tzinfo=None) for date in utc], dtype="datetime64[ns]")
     except ValueError:
         clocks = [_CLOCK.fullmatch(cell.strip()) for cell in text]
     hands = [(match[1], match[2], match[3].replace(",", ".")) for match in clocks if match]
@@ -94,7 +94,7 @@ def instants_of(text: Cells) -> Cells:
     return np.array(hands, dtype=np.float64) @ np.array([3600.0, 60.0, 1.0])
 
 
-def _parquet(path: Path, content: bytes) -> Table:
+def _parquet(path: Path, content: bytes) -> LogTable:
     import pyarrow
     import pyarrow.parquet
 
@@ -106,17 +106,19 @@ def _parquet(path: Path, content: bytes) -> Table:
         run = Trajectory.load(path)
         names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
-        return Table({name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _delay_of(run))
-    return Table({name: _cells(table.column(name)) for name in table.column_names}, {})
+        return LogTable(
+            {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _computation(run)
+        )
+    return LogTable({name: _read_cells(table.column(name)) for name in table.column_names}, {})
 
 
-def _delay_of(run: Trajectory) -> float:
+def _computation(run: Trajectory) -> float:
     """s, delay of the profile that a trajectory was driven in, where it is a shipped one."""
     name = getattr(run, "meta", {}).get("profile")
     return load_profile(name).delay * float(getattr(run, "period", 0.0)) if name in list_profiles() else 0.0
 
 
-def _csv(path: Path, content: bytes) -> Table:
+def _csv(path: Path, content: bytes) -> LogTable:
     import pyarrow
     import pyarrow.csv
 
@@ -128,7 +130,7 @@ def _csv(path: Path, content: bytes) -> Table:
     if len(lines) < 2:
         raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
     delimiter = max(",;\t", key=lines[0].count)
-    units = _row_of_units(lines, delimiter)
+    units = _read_units(lines, delimiter)
     if units:
         del lines[1]
     point = "," if delimiter == ";" and "." not in lines[1] else "."
@@ -140,32 +142,32 @@ def _csv(path: Path, content: bytes) -> Table:
     except pyarrow.ArrowException as error:
         raise InvalidInput(f"{path}: not a table: {error}.") from None
     names = [name.strip().strip('"') for name in table.column_names]
-    columns = {name: _cells(table.column(i)) for i, name in enumerate(names)}
-    return Table(columns, dict(zip(names, units, strict=False)))
+    columns = {name: _read_cells(table.column(i)) for i, name in enumerate(names)}
+    return LogTable(columns, dict(zip(names, units, strict=False)))
 
 
-def _row_of_units(lines: Sequence[str], delimiter: str) -> list[str]:
+def _read_units(lines: Sequence[str], delimiter: str) -> list[str]:
     """The cells below the names where none of them is a number, but cells of the next row are; else none."""
     rows = [[cell.strip().strip('"').strip() for cell in line.split(delimiter)] for line in lines[1:3]]
     if len(rows) < 2 or len(rows[0]) < 2 or any(map(_NUMBER.fullmatch, rows[0])):
         return []
-    return rows[0] if any(map(_NUMBER.fullmatch, rows[1])) and not any(map(_is_time, rows[0])) else []
+    return rows[0] if any(map(_NUMBER.fullmatch, rows[1])) and not any(map(_looks_like_time, rows[0])) else []
 
 
-def _is_time(cell: str) -> bool:
+def _looks_like_time(cell: str) -> bool:
     return bool(re.match(r"\d{4}-\d\d-\d\d|\d{1,2}:\d\d", cell))
 
 
-def _cells(column: Any) -> Cells:
+def _read_cells(column: Any) -> CellArray:
     """An Arrow column as an array; text of which most is numbers as these, the rest as NaN."""
     import pyarrow
 
     kind = column.type
     if pyarrow.types.is_duration(kind):
-        whole = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
-        column, kind = whole.cast(pyarrow.timestamp("ns")), pyarrow.timestamp("ns")
+        nanoseconds = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
+        column, kind = nanoseconds.cast(pyarrow.timestamp("ns")), pyarrow.timestamp("ns")
     if pyarrow.types.is_timestamp(kind) or pyarrow.types.is_date(kind):
-        return column.cast(pyarrow.timestamp("ns"), safe=False).to_numpy().astype("datetime64[ns]")  # type: ignore[no-any-return]
+        return column.cast(pyarrow.timestamp("ns"), safe=False).to_numpy().astype("datetime64[ns]")
     if pyarrow.types.is_integer(kind) and not column.null_count:
         return np.asarray(column.to_numpy())
     if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind) or pyarrow.types.is_time(kind):

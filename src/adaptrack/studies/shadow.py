@@ -20,7 +20,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.progress import Shown, tells
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.statistics import Interval, Ratio, block_rms
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
@@ -157,7 +157,7 @@ def shadow(
     uncertainty: Uncertainty | None = None,
     learning: Learning | None = None,
     computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
-    progress: Shown | None = None,
+    progress: ProgressCall | None = None,
 ) -> Shadow:
     """Run estimator and learner of ``MPC(car, learning=...)`` over logs; nothing is steered.
 
@@ -217,7 +217,7 @@ def shadow(
 
 
 def _all(
-    read: Sequence[ReadLog], road: Road | None, mpc: MPC, without: Sequence[str], show: Shown
+    read: Sequence[ReadLog], road: Road | None, mpc: MPC, without: Sequence[str], show: ProgressCall
 ) -> tuple[ShadowLog, ...]:  # fmt: skip
     """All logs, one after the other, from the first belief on."""
     mpc.reset()
@@ -236,7 +236,7 @@ def _is_best(log: ShadowLog) -> bool:
 
 
 def _spoiling(
-    read: Sequence[ReadLog], road: Road | None, mpc: MPC, found: Sequence[ShadowLog], show: Shown
+    read: Sequence[ReadLog], road: Road | None, mpc: MPC, found: Sequence[ShadowLog], show: ProgressCall
 ) -> tuple[str, ...]:  # fmt: skip
     """The signals of `OPTIONAL` without which fewer logs are doubted, or the learned model errs less; none: no such."""
 
