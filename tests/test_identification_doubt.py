@@ -19,7 +19,7 @@ from adaptrack.identification.consistency import Said, contradictions
 from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.from_log import prepare
 from adaptrack.identification.log import log_of
-from adaptrack.identification.long_log import MAX_SAMPLES, shorten_log
+from adaptrack.identification.long_log import SHORTENED, shorten_log
 from adaptrack.identification.reading import Reading, read_columns
 from test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
 
@@ -286,19 +286,18 @@ def test_honest_commands_of_a_car_that_slows_a_little_in_bends_fit_its_yaw_rate(
 
 
 def test_a_long_log_in_means_of_its_samples_keeps_delay_and_turning() -> None:
-    time = 0.01 * np.arange(60_000)
+    time = 0.01 * np.arange(48_000)
     command, speed = 0.02 * np.sin(time), 15.0 + 3.0 * np.sin(0.05 * time)
     late = 0.1 * np.sin(time - 0.2)
     log = log_of({"time": time, "command": command, "speed": speed, "yaw_rate": late}, CAR.wheelbase)
     short = shorten_log(log)
-    assert short.samples <= MAX_SAMPLES
     assert short.period == pytest.approx(0.05)
     assert "means of 5" in short.notes[-1]
     middle = slice(10, -10)  # the command that is held for 0.05 s is that of the middle
     assert np.allclose(short.command[middle], 0.02 * np.sin(short.time[middle] + 0.02), atol=1e-5)
     assert np.allclose(short.yaw_rate[middle], 0.1 * np.sin(short.time[middle] - 0.2), atol=1e-4)
-    hour = log_of({"time": 0.05 * np.arange(60_000), "command": command, "speed": speed,
-                   "yaw_rate": np.where(time < 300.0, 0.1, 1.0) * late}, CAR.wheelbase)  # fmt: skip
+    hour = log_of({"time": 0.05 * np.arange(48_000), "command": command, "speed": speed,
+                   "yaw_rate": np.where(time < 240.0, 0.1, 1.0) * late}, CAR.wheelbase)  # fmt: skip
     turning = shorten_log(hour)
-    assert turning.samples <= MAX_SAMPLES
-    assert turning.time.min() >= 1500.0 - 30.0
+    assert turning.samples <= SHORTENED
+    assert turning.time.min() >= 1200.0 - 30.0

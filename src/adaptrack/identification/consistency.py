@@ -51,7 +51,7 @@ def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Estimates that lie outside what was believed, or what any car has, in words."""
     said = []
     for each in estimates.values():
-        if abs(each.shift) > FARTHEST and not each.name.startswith("noise"):
+        if abs(each.shift) > FARTHEST and not each.name.startswith(("noise", "gyro")):
             said.append(
                 f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what "
                 f"was believed ({each.before[0]:.3g} to {each.before[1]:.3g})"

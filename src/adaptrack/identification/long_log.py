@@ -12,14 +12,14 @@ from adaptrack.identification.log import SIGNALS, Log
 
 Array = NDArray[np.float64]
 
-MAX_SAMPLES = 15_000
-"""Samples up to which a log is used as it is: a fit takes half a minute."""
+MAX_SAMPLES, SHORTENED = 15_000, 10_000
+"""Samples up to which a log is used as it is, and at most of a shortened one, whose fit takes up to 45 s."""
 MEAN_PERIOD, STRETCH_LENGTH = 0.05, 30.0
 """s, between the samples of a longer log, at most; of its stretches."""
 
 
 def shorten_log(log: Log) -> Log:
-    """The log in at most `MAX_SAMPLES` samples, with a note where it had more.
+    """The log as it is up to `MAX_SAMPLES` samples, else in at most `SHORTENED`, with a note.
 
     A command is averaged over the time for which the new one is held, other signals about the new instant, so that
     neither moves against the other.
@@ -30,7 +30,7 @@ def shorten_log(log: Log) -> Log:
     if rows > 1:
         note = f"{log.samples} samples: means of {rows} each are used"
         log = replace(_average_rows(log, rows), notes=(*log.notes, note))
-    if log.samples <= MAX_SAMPLES:
+    if log.samples <= SHORTENED:
         return log
     duration, selection = log.driven, _select_turning(log)
     note = f"of {duration:.0f} s of driving, the {selection.driven:.0f} s with most lateral acceleration are used"
@@ -61,12 +61,12 @@ def _group_starts(begins: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
 
 
 def _select_turning(log: Log) -> Log:
-    """The stretches with the largest mean square of the lateral acceleration, `MAX_SAMPLES` in all."""
+    """The stretches with the largest mean square of the lateral acceleration, `SHORTENED` samples in all."""
     number = np.cumsum(log.begins) * 1_000_000 + np.floor(log.time / STRETCH_LENGTH).astype(np.int64)
     _, stretch, sizes = np.unique(number, return_inverse=True, return_counts=True)
     sideways = np.nan_to_num(log.speed * log.yaw_rate)
     order = np.argsort(-np.bincount(stretch, sideways**2) / sizes, kind="stable")
-    stretches = order[np.cumsum(sizes[order]) <= MAX_SAMPLES]
+    stretches = order[np.cumsum(sizes[order]) <= SHORTENED]
     rows = np.flatnonzero(np.isin(stretch, stretches))
     begins = log.begins[rows] | (np.diff(rows, prepend=-2) > 1)
     signals: dict[str, Any] = {name: getattr(log, name)[rows] for name in SIGNALS}

@@ -25,7 +25,7 @@ ROUGH_QUANTITIES = (
     "delay", "lag_share", "lateness", "offset", "front", "rear", "gyro_offset", "wind_spread", "noise_yaw_rate", "jolt",
 )  # fmt: skip
 """Quantities that are free in a rough fit."""
-MAX_ROUGH_GAP, MAX_RIVAL_GAP = 30.0, 10.0
+MAX_ROUGH_GAP, MAX_RIVAL_GAP = 60.0, 15.0
 """Differences of the objective: of rough fits that are continued, and of optima that count as equally likely."""
 MAX_AXLE_GAP = 0.25
 """Difference of the logarithm of an axle's stiffness up to which two optima are one."""
