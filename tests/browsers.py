@@ -31,7 +31,6 @@ _KEYS = {
 """key: (code, virtual key code, text)"""
 _PIPES = """
 import os, sys
-from programs import find_program
 given = [os.dup(int(each)) for each in sys.argv[1:3]]
 given = [os.dup(os.dup(each)) for each in given]
 for place, each in zip((3, 4), given): os.dup2(each, place)

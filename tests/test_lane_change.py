@@ -225,7 +225,7 @@ class TestCommand:
         return run
 
     def test_a_lane_change_gives_a_table_of_80_columns_and_a_picture(self, command, monkeypatch, tmp_path):
-        track = ("iso-3888-2", np.array([30.0, 35.0, 80.0]), 40.0)
+        track = ("iso-3888-2", [30.0, 35.0, 80.0], 40.0)
         monkeypatch.setitem(manoeuvre.LANE_CHANGES, "obstacle-avoidance", track)
         asked = ("obstacle-avoidance", "--vehicle", "compact-ev", "--controller", "pure-pursuit")
         code, out, _ = command(*asked, "--out", str(tmp_path))

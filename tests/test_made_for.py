@@ -112,7 +112,7 @@ def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_tha
 
 @pytest.mark.compiled
 def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(command, monkeypatch, tmp_path):
-    mpc, file = MPC("paper", profile="road"), tmp_path / "cautious.json"
+    mpc, file = MPC(load_vehicle("paper"), profile="road"), tmp_path / "cautious.json"
     replace(Constant(mpc.tuning, name="cautious"), made_for=made_for(mpc, "road")).save(file)
     code, said = command(*drive_shortly("van", file))
     assert code == 0

@@ -9,7 +9,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from typer import Option
 
@@ -35,8 +34,8 @@ class Name(StrEnum):
 CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
 """Unless some are named."""
 LANE_CHANGES = {
-    "double-lane-change": ("iso-3888-1", np.arange(60.0, 171.0, 2.0), 80.0),
-    "obstacle-avoidance": ("iso-3888-2", np.arange(24.0, 91.0, 1.0), 45.0),
+    "double-lane-change": ("iso-3888-1", range(60, 171, 2), 80.0),
+    "obstacle-avoidance": ("iso-3888-2", range(24, 91), 45.0),
 }
 """The track, the entry speeds (km/h) that are tried, and the one at which controllers are tuned, by name."""
 TITLES = {
@@ -101,7 +100,7 @@ def manoeuvre(given: ManoeuvreOptions) -> None:
             settings = ControllerSettings(car, profile, profile.period, preview=True)
             controllers = [make_controller(name, settings) for name in dict.fromkeys(given.controller or CONTROLLERS)]
             runs: list[EntrySpeed] = []
-            speeds = [float(speed) / 3.6 for speed in grid]
+            speeds = [speed / 3.6 for speed in grid]
             for run in entry_speeds(test, controllers, speeds, tune_at / 3.6 if given.tune else None):
                 runs.append(run)
                 advance(car.name, min(len(runs), 2 * len(controllers) - 1), 2 * len(controllers))
