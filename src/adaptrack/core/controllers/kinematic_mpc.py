@@ -352,12 +352,9 @@ def filtered(wanted, before, earlier, last, past, share):
 
 @inlined
 def _sent(p, memory):
-    """What `predicted_path` remembers."""
-    return (
-        memory[
-            KEPT : KEPT + predicted_path.SENT + 2 + predicted_path.count_pieces((p.pose_age + p.dead_time) / p.period)
-        ],
-    )
+    """Return the part of the memory that `predicted_path` uses."""
+    behind = (p.pose_age + p.dead_time) / p.period
+    return (memory[KEPT : KEPT + predicted_path.SENT + 2 + predicted_path.count_pieces(behind)],)
 
 
 @inlined
