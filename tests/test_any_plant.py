@@ -104,7 +104,7 @@ def test_segments_counted_from_simulated_runs_are_those_of_the_kernel_failed_one
 
 
 def test_compiled_runs_refuse_a_stepped_plant_with_the_remedy():
-    with pytest.raises(at.InvalidInput, match=r"use simulate\(\.\.\.\)"):
+    with pytest.raises(at.InvalidInput, match=r"simulate\(\.\.\.\) drives a stepped one"):
         at.rollout_batch(Sliding(CAR), at.MPC(CAR, profile="road"), [at.load_scenario("sine")], profile="road")
 
 

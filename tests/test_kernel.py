@@ -7,6 +7,7 @@ import json
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -192,8 +193,8 @@ def built(tmp_path, monkeypatch):
     """A copy of what was built, in place of it."""
     if not isinstance(library.loaded(), library.Library):
         pytest.skip("runs with the library")
-    for each in library.BUILT.iterdir():
-        (tmp_path / each.name).write_bytes(each.read_bytes())
+    for file in filter(Path.is_file, library.BUILT.iterdir()):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
     monkeypatch.setattr(library, "BUILT", tmp_path)
     return tmp_path
 

@@ -34,7 +34,6 @@ LONG_COMMANDS = {
     "dataset describe campaigns": "needs a campaign that is done",
     "car my-car.toml --tir": "needs a tyre file",
     "drive country --vehicle my-car.toml": "needs a car that is identified or tuned",
-    "drive country --length 300 --plugin mppi": "its own tests drive it",
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
     "drive road.csv --vehicle my-car.toml --controller informed": "needs a tuning that is found",
     "evaluate": "1 to 10 minutes",
