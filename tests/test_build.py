@@ -22,7 +22,7 @@ from adaptrack.core.build import emission, numba_functions  # noqa: E402
 from adaptrack.core.build.exports import EXPORTS, archive, emit_export, shipped  # noqa: E402
 from adaptrack.core.build.objects import undefined  # noqa: E402
 from adaptrack.core.build.rules import violations  # noqa: E402
-from adaptrack.core.kernel import BODY, EXPORTED  # noqa: E402
+from adaptrack.core.kernel import EXPORTED, SYMBOL  # noqa: E402
 from adaptrack.core.maths.values import NAMES  # noqa: E402
 
 pytestmark = pytest.mark.compiled
@@ -187,7 +187,7 @@ def test_kernels_of_two_objects_call_each_other_and_give_the_bits_of_one(tmp_pat
         path.write_bytes(numba_functions.module_of(group).as_bitcode())
         paths.append(path)
         objects.append(emission.emit_files([path], library.processor(), alone=False))
-    assert any(symbol.startswith(BODY) for symbol in undefined(objects[0]))
+    assert any(symbol.startswith(SYMBOL) for symbol in undefined(objects[0]))
     answers = []
     for parts in (objects, [emission.emit_files(paths, library.processor())]):
         file = tmp_path / f"{len(parts)}.so"

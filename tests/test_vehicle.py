@@ -216,7 +216,7 @@ class TestNamedSets:
             load_vehicle("midsize-sedn")
         with pytest.raises(UnknownName, match="Did you mean 'passenger-car'"):
             load_tyre("passanger-car")
-        with pytest.raises(InvalidInput, match="not by 3"):
+        with pytest.raises(InvalidInput, match="= 3: must be text or a path"):
             load_vehicle(3)
 
 

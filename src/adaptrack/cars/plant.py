@@ -26,6 +26,7 @@ from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
+from adaptrack.core.member import MemberFunction
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
@@ -251,7 +252,7 @@ class UserPlant(Plant):
         When numba cannot compile the right-hand side.
     """
 
-    right_hand_side: Callable[..., None]
+    right_hand_side: MemberFunction
     parameters: Mapping[str, Any]
     """numbers, or tables of them to any depth, as a TOML file has them"""
     mass: Annotated[Positive, "kg"]

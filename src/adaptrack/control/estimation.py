@@ -26,6 +26,7 @@ from adaptrack.control.models import PredictionModel
 from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.contract import compile_estimator
 from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
+from adaptrack.core.member import MemberFunction
 from adaptrack.core.period import Perceiving
 from adaptrack.core.synthesis.plant import lateral_rate
 from adaptrack.scenario.profile import Profile, load_profile
@@ -133,7 +134,7 @@ class UserEstimator(Estimator):
 
     @checked
     def __init__(
-        self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
+        self, estimate: MemberFunction, *, parameters: Mapping[str, float] | None = None,
         memory_size: int | Callable[[int], int] = 0, label: str = "user",
     ) -> None:  # fmt: skip
         self.name = label

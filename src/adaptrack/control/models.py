@@ -20,6 +20,7 @@ from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
+from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.contract import compile_model
 
@@ -316,7 +317,7 @@ class UserModel(PredictionModel):
     @checked
     def __init__(
         self,
-        discretise: Callable[..., None],
+        discretise: MemberFunction,
         states: Sequence[str],
         *,
         parameters: Mapping[str, Finite] | None = None,

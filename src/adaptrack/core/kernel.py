@@ -25,7 +25,7 @@ import numpy as np
 
 from . import library
 
-BODY = "kernel."
+SYMBOL = "kernel."
 """Prefix of the symbol under which an exported kernel is called by other kernels, by numba's calling convention."""
 INTERPRETED = library.WAY == "interpreted"
 """Whether kernels run as plain Python."""

@@ -7,7 +7,7 @@ import ctypes
 import logging
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -42,6 +42,10 @@ class CFunction:
     @property
     def __name__(self) -> str:
         return self.name
+
+
+MemberFunction = Callable[..., None] | CFunction
+"""What may be a member: a function of Python's or of a shared library."""
 
 
 def compiles() -> bool:

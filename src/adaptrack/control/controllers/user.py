@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 from adaptrack.base.checked import checked, real, whole
@@ -11,6 +11,7 @@ from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import DECADES, Bounds, CompiledController
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers.contract import compile_law
+from adaptrack.core.member import MemberFunction
 
 
 @final
@@ -38,7 +39,7 @@ class UserController(CompiledController):
     @checked
     def __init__(
         self,
-        law: Callable[..., None],
+        law: MemberFunction,
         *,
         tuning: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,

@@ -8,6 +8,7 @@ solution.x, solution.status.sentence, solution.residuals
 
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
@@ -17,6 +18,7 @@ from adaptrack.control.qp.solver import QPSolver
 SOLVERS: dict[str, type[QPSolver]] = {ActiveSet.name: ActiveSet, Hildreth.name: Hildreth}
 
 
+@checked
 def get_qp_solver(name: str = ActiveSet.name, **options: Any) -> QPSolver:
     """Return a new solver, "active-set" or "hildreth"; ``options`` go to its class.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
-from ..kernel import BODY
+from ..kernel import SYMBOL
 
 
 class BuildError(RuntimeError):
@@ -161,7 +161,7 @@ def joined(paths: Iterable[Path], alone: bool = True) -> str:
     for path in paths:
         module.link_in(llvm.parse_bitcode(path.read_bytes()))
     for function in module.functions:
-        if function.name.startswith(BODY):
+        if function.name.startswith(SYMBOL):
             if not alone:
                 function.visibility = "hidden"
             elif not function.is_declaration:

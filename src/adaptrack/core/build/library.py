@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import library
-from ..kernel import BODY, EXPORTED
+from ..kernel import EXPORTED, SYMBOL
 from .emission import TARGETS, BuildError, Target, emit_files, joined
 from .header import header
 from .objects import undefined
@@ -166,7 +166,7 @@ def finished(name: str, objects: list[bytes]) -> tuple[str, bytes]:
 
     Raises BuildError for an object that calls what it does not have, and without a linker for this processor.
     """
-    left = sorted({symbol for content in objects for symbol in undefined(content) if not symbol.startswith(BODY)})
+    left = sorted({symbol for content in objects for symbol in undefined(content) if not symbol.startswith(SYMBOL)})
     if left:
         raise BuildError(
             f"the kernels for {name} call {', '.join(left)}: each belongs into SOFT, or is to be replaced."

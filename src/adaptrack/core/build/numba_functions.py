@@ -18,7 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.extending import intrinsic
 
-from ..kernel import BODY, EXPORTED
+from ..kernel import EXPORTED, SYMBOL
 from ..member import Member
 from . import operations
 from .numba_types import WORD, c_types, from_c, numba_type, to_c
@@ -35,7 +35,7 @@ _OPTIONS: dict[str, Any] = {
 _alive: list[Any] = []
 """Numba's types hold their functions weakly, and machine code goes with the library that holds it."""
 _kernels: dict[Any, Any] = {}
-"""The exported kernel of a library of numba's that holds the body of one."""
+"""The exported kernel of a library of numba's that defines one."""
 _lowering_kernels = False
 """Whether numba is lowering kernels for `module_of`, which links them itself."""
 _environments: dict[str, Any] = {}
@@ -72,18 +72,18 @@ def _linked(parts: Iterable[Any]) -> Any:
 
 
 def _parsed(module: Any, kernel: Any) -> Any:
-    """Parse a module; the body of an exported kernel, if it defines or calls one, gets its symbol."""
+    """Parse a module; an exported kernel of the package that it defines or calls gets its symbol."""
     parsed = llvm.parse_assembly(str(module))
-    if kernel is not None:
-        parsed.get_function(compiled(kernel).fndesc.mangled_name).name = BODY + kernel.name
+    if kernel is not None and not isinstance(kernel, Member):
+        parsed.get_function(compiled(kernel).fndesc.mangled_name).name = SYMBOL + kernel.name
     return parsed
 
 
 def _with_callees(module: Any) -> Any:
-    """Add to a module the bodies of the exported kernels that it calls, and of those that these call."""
+    """Add to a module the exported kernels that it calls, and of those that these call."""
     while called := [EXPORTED[name] for name in _declared_kernels(module) if name in EXPORTED]:
         callees = _linked(compiled(kernel).library for kernel in called)
-        _make_internal(callees, BODY)  # they may hold the same inlined kernels as the module
+        _make_internal(callees, SYMBOL)  # they may hold the same inlined kernels as the module
         module.link_in(callees)
     return module
 
@@ -97,7 +97,7 @@ def _make_internal(module: Any, *beginnings: str) -> None:
 
 def _declared_kernels(module: Any) -> list[str]:
     declared = [function.name for function in module.functions if function.is_declaration]
-    return [name.removeprefix(BODY) for name in declared if name.startswith(BODY)]
+    return [name.removeprefix(SYMBOL) for name in declared if name.startswith(SYMBOL)]
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def module_of(kernels: Iterable[Any]) -> Any:
             c_functions.link_in(_parsed(c_module(kernel, f"adaptrack_{kernel.name}"), kernel))
         module = _linked(compiled(kernel).library for kernel in kernels)
     module.link_in(c_functions)
-    _make_internal(module, BODY, "adaptrack_")
+    _make_internal(module, SYMBOL, "adaptrack_")
     return module
 
 
@@ -140,7 +140,7 @@ class _Inlined(CPUDispatcher):  # type: ignore[misc]
 def type_of(known: Any) -> Any:
     """Numba's type of what kernels may call."""
     if known.kind == "exported":
-        return _type_of_exported(known)
+        return types.Dispatcher(_dispatcher(known)) if isinstance(known, Member) else _type_of_exported(known)
     if known.kind == "primitive":
         return _function_type(getattr(operations, known.function.__name__))
     if known.kind == "caller":
@@ -288,7 +288,7 @@ def _type_of_exported(kernel: Any) -> Any:
         def codegen(context, builder, typed_as, values):
             convention = context.call_conv
             kind = convention.get_function_type(signature.return_type, signature.args)
-            function = cgutils.get_or_insert_function(builder.module, kind, BODY + kernel.name)
+            function = cgutils.get_or_insert_function(builder.module, kind, SYMBOL + kernel.name)
             status, result = convention.call_function(builder, function, signature.return_type, signature.args, values)
             if not _lowering_kernels:  # a user's function, which numba links by itself
                 context.active_code_library.add_linking_library(compiled(kernel).library)
