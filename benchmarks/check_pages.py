@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import html
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -98,7 +99,8 @@ class Seen(NamedTuple):
 
 def look(page: Path, width: int, scheme: str) -> Seen:
     """Open the page, with the probe in it, in a frame of the width."""
-    probed = page.read_text(encoding="utf-8").replace("<head>", f"<head>{PROBE}", 1)
+    text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page.read_text(encoding="utf-8"))
+    probed = text.replace("<head>", f"<head>{PROBE}", 1)  # the page's policy allows its own scripts alone
     frame = FRAME.format(page="/probed", width=width, height=HEIGHT)
     pages = {"/": browser.Served(frame), "/probed": browser.Served(probed)}
     found, said = browser.ask(pages, page.parent, scheme=scheme, timeout=PATIENCE)

@@ -88,7 +88,7 @@ class CarOptions:
 
 @options.grouped
 def car(given: CarOptions) -> None:
-    """Show a car, or make one from a data sheet.
+    """Show a car, or make one.
 
     What --mass and --wheelbase leave open is estimated from published measurements, and marked. Without a car, --tir
     makes a tyre alone.

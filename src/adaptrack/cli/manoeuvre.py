@@ -77,7 +77,7 @@ class ManoeuvreOptions:
 
 @options.grouped
 def manoeuvre(given: ManoeuvreOptions) -> None:
-    """Find the highest clean entry speed of a lane change of ISO 3888.
+    """Find the highest entry speed of a lane change.
 
     double-lane-change (part 1) and obstacle-avoidance (part 2), for several cars and controllers.
     """
