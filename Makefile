@@ -30,7 +30,7 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	  $(PYTHON) -m venv --clear --without-pip $(VENV) && $(PYTHON) -m pip --python $(VENV) install --quiet pip; }
 	@mkdir -p build && sed -n '/^uv==/,/[^\\]$$/p' requirements.lock > build/uv.txt
 	$(PIP) install --no-deps --only-binary :all: --require-hashes -r build/uv.txt
-	$(BIN)/uv pip install --quiet --python $(BIN)/python $(LOCKED_ONLY) -r requirements.lock || { \
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python $(LOCKED_ONLY) -r requirements.lock || { \
 	  echo 'uv does not reach the package index: pip, which may be set up otherwise, installs the packages.'; \
 	  $(PIP) install $(LOCKED_ONLY) -r requirements.lock; }
 	$(PIP) install --no-deps --no-build-isolation --editable .
@@ -84,7 +84,7 @@ TRIED := build/try
 try-wheel: ## drive with the wheel in dist/ in an environment of its own, which PYTHON chooses; no compiler, no checkout
 	test -n "$(wildcard dist/adaptrack-*.whl)" || { echo 'No wheel in dist/: make wheel'; exit 1; }
 	rm -rf $(TRIED) && $(BIN)/uv venv --quiet --python "$$(command -v $(PYTHON))" $(TRIED)
-	$(BIN)/uv pip install --quiet --python $(TRIED)/bin/python dist/adaptrack-*.whl
+	@$(BIN)/uv pip install --quiet --python $(TRIED)/bin/python dist/adaptrack-*.whl
 	cd $(TRIED) && bin/adaptrack --version && bin/adaptrack simulate triple-lane-change --out page
 	cd $(TRIED) && bin/adaptrack drive town --vehicle midsize-sedan
 
