@@ -551,7 +551,7 @@ def test_a_controller_told_of_another_steering_believes_it():
     mpc = MPC(KNOWN, profile="road", belief=Steering(lag=0.3, rate=0.4))
     assert (mpc.model.lag, mpc.model.dead_time) == (0.3, pytest.approx(0.07 + 0.05))
     assert mpc.limits.move == pytest.approx((-0.02, 0.02))
-    with pytest.raises(InvalidInput, match="must be a Steering or"):
+    with pytest.raises(InvalidInput, match="must be a Steering or one of 'unknown' or None"):
         MPC(CAR, belief=0.3)
 
 

@@ -351,7 +351,7 @@ def test_nothing_is_learned_unless_asked():
 def test_learning_needs_the_model_that_it_learns():
     with pytest.raises(InvalidInput, match="specify either those or model and estimator"):
         MPC(CAR, model=SingleTrackModel(CAR), learning=Learning())
-    with pytest.raises(InvalidInput, match="'auto' serves as well, and"):
+    with pytest.raises(InvalidInput, match="must be a Learning or one of 'auto' or None; 'auto' serves as well"):
         MPC(CAR, learning=True)
 
 

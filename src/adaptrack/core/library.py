@@ -128,7 +128,7 @@ def exported(target: str) -> Path:
         if not (can_compile() and os.access(PACKAGE, os.W_OK)):
             raise
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *sys.path])}
-    subprocess.run([sys.executable, "-m", *BUILD.split()[2:], "--export", target], env=environment, stdout=sys.stderr)
+    subprocess.run([sys.executable, "-m", *BUILD.split()[2:], "--export", target], env=environment)
     return export_of(target)
 
 

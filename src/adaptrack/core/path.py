@@ -175,9 +175,10 @@ def _group(points, first, last, before):
     """
     most = GROUP_LENGTH if first == 0 else min(GROUP_LENGTH, GROUP_SHARE * before)
     end, step, extent = first, 0.0, 0.0
+    start = first if first < len(points) else 0  # the last point of a lap is its first one
     for k in range(first, last + 1):
-        there = k if k < len(points) else 0
-        extent = max(extent, hypot(points[there, 0] - points[first, 0], points[there, 1] - points[first, 1]))
+        point = k if k < len(points) else 0
+        extent = max(extent, hypot(points[point, 0] - points[start, 0], points[point, 1] - points[start, 1]))
         if extent > most:
             break
         after = 0.0
