@@ -100,9 +100,9 @@ class Certificate:
     @property
     def verdict(self) -> str:
         """The verdict in one sentence, the count of the hard turn included."""
-        n, bad = len(self.points), int(self.counted.unstable.sum())
+        n, n_unstable = len(self.points), int(self.counted.unstable.sum())
         turn = int(self.counted.unstable_in_turn.sum())
-        straight = f"stable at all {n:,}" if self.passed else f"unstable at {bad:,} of {n:,}"
+        straight = f"stable at all {n:,}" if self.passed else f"unstable at {n_unstable:,} of {n:,}"
         return (
             f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
             f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not decide "
@@ -114,9 +114,15 @@ class Certificate:
         """What mismatches do, as a sentence; empty where none were given."""
         if not self.mismatched:
             return ""
-        bad = {name: int((found.radius >= 1.0).sum()) for name, found in self.mismatched.items()}
-        named = ", ".join(f"{name}: {count:,}" for name, count in bad.items() if count)
-        return f" Of {len(bad)} mismatches none makes it unstable." if not named else f" Unstable with {named}."
+        unstable_counts = {
+            name: int((mismatch_margins.radius >= 1.0).sum()) for name, mismatch_margins in self.mismatched.items()
+        }
+        counts_text = ", ".join(f"{name}: {count:,}" for name, count in unstable_counts.items() if count)
+        return (
+            f" Of {len(unstable_counts)} mismatches none makes it unstable."
+            if not counts_text
+            else f" Unstable with {counts_text}."
+        )
 
     @property
     def fallback(self) -> NDArray[np.bool_]:
@@ -132,8 +138,8 @@ class Certificate:
     ) -> list[dict[str, Any]]:
         """The points with the smallest modulus margin, the worst first: variables, tuning and margins."""
         sweep = sweep or self.counted
-        found: Margins = getattr(sweep, driving)
-        order = np.argsort(found.modulus_margin, kind="stable")[:count]
+        driving_margins: Margins = getattr(sweep, driving)
+        order = np.argsort(driving_margins.modulus_margin, kind="stable")[:count]
         return [self._point(sweep, driving, int(i)) for i in order]
 
     def rows(self) -> list[dict[str, Any]]:
@@ -149,9 +155,12 @@ class Certificate:
             for i, unstable in self._worst_of_cells(getattr(sweep, driving))
         ]
 
-    def _worst_of_cells(self, found: Margins) -> list[tuple[int, int]]:
+    def _worst_of_cells(self, driving_margins: Margins) -> list[tuple[int, int]]:
         """The point with the smallest modulus margin of each speed and friction, and the number of unstable points."""
-        least, unstable = self.cells(found.modulus_margin), self.cells(found.radius >= 1.0).sum(axis=2)
+        least, unstable = (
+            self.cells(driving_margins.modulus_margin),
+            self.cells(driving_margins.radius >= 1.0).sum(axis=2),
+        )
         first = np.arange(unstable.size) * least.shape[2]
         return list(zip((first + least.argmin(axis=2).ravel()).tolist(), unstable.ravel().tolist(), strict=True))
 
@@ -185,29 +194,31 @@ class Certificate:
     def mismatched_rows(self) -> list[dict[str, Any]]:
         """For each mismatch the point with the smallest modulus margin, and how many are unstable; for JSON."""
         rows = []
-        for name, found in self.mismatched.items():
-            unstable, i = int((found.radius >= 1.0).sum()), int(np.argmin(found.modulus_margin))
-            rows.append({"mismatch": name, "unstable": unstable, **self._point(self.counted, "straight", i, found)})
+        for name, mismatch_margins in self.mismatched.items():
+            unstable, i = int((mismatch_margins.radius >= 1.0).sum()), int(np.argmin(mismatch_margins.modulus_margin))
+            rows.append(
+                {"mismatch": name, "unstable": unstable, **self._point(self.counted, "straight", i, mismatch_margins)}
+            )
         return rows
 
-    def _point(self, sweep: Sweep, driving: Driving, i: int, found: Margins | None = None) -> dict[str, Any]:
-        found = getattr(sweep, driving) if found is None else found
+    def _point(self, sweep: Sweep, driving: Driving, i: int, point_margins: Margins | None = None) -> dict[str, Any]:
+        point_margins = getattr(sweep, driving) if point_margins is None else point_margins
         return {
             **dict(zip(SchedulingVariables._fields, self.points[i].tolist(), strict=True)),
             **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
             "driving": driving,
-            **_finite({each.name: float(getattr(found, each.name)[i]) for each in fields(Margins)}),
+            **_finite({field.name: float(getattr(point_margins, field.name)[i]) for field in fields(Margins)}),
         }
 
 
-def extremes(found: Margins) -> dict[str, float]:
+def extremes(loop_margins: Margins) -> dict[str, float]:
     """The worst of each margin over all loops."""
     return {
-        "radius": float(found.radius.max()),
-        "gain_up": float(found.gain_up.min()),
-        "gain_down": float(found.gain_down.max()),
-        "delay": float(found.delay.min()),
-        "modulus_margin": float(found.modulus_margin.min()),
+        "radius": float(loop_margins.radius.max()),
+        "gain_up": float(loop_margins.gain_up.min()),
+        "gain_down": float(loop_margins.gain_down.max()),
+        "delay": float(loop_margins.delay.min()),
+        "modulus_margin": float(loop_margins.modulus_margin.min()),
     }
 
 
@@ -261,16 +272,17 @@ def certify(
     points = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in SchedulingVariables._fields])
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
-    tunings = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
+    tunings = [_as_used(_tunings(variant, points), mpc) for variant in (bare, guarded) if variant is not None]
     plants = linear_plants(plant, mpc.period, world, turn, mismatches)
-    found = _sweep(points, tunings, mpc, plants, progress or (lambda what, done, of: None))
-    sweeps = [Sweep(used, *each[:2]) for used, each in zip(tunings, found, strict=True)]
+    sweep_margins = _sweep(points, tunings, mpc, plants, progress or (lambda stage, finished, of: None))
+    sweeps = [Sweep(used, *used_margins[:2]) for used, used_margins in zip(tunings, sweep_margins, strict=True)]
     return Certificate(
         str(getattr(scheduler, "name", getattr(scheduler, "__name__", type(scheduler).__name__))),
         plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
         axes["speed"], axes["friction"], points,
         sweeps[0], sweeps[1] if guarded is not None else None,
-        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)), mpc.period, mpc.belief_at_first,
+        dict(zip([mismatch.name for mismatch in mismatches], sweep_margins[-1][2:], strict=True)),
+        mpc.period, mpc.belief_at_first,
     )  # fmt: skip
 
 
@@ -281,13 +293,15 @@ def _axes(
     unknown = set(domain) - set(SchedulingVariables._fields)
     if unknown:
         raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of SchedulingVariables.")
-    own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
-    read = own if isinstance(scheduler, Schedule) else OPERATING
-    others = [name for name in SchedulingVariables._fields if name in read and name not in ("speed", "friction")]
-    count = max(2, min(5, int(_CELL ** (1.0 / max(len(others), 1)) + 1e-9)))
+    scheduler_domain = (
+        dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
+    )
+    read = scheduler_domain if isinstance(scheduler, Schedule) else OPERATING
+    other_names = [name for name in SchedulingVariables._fields if name in read and name not in ("speed", "friction")]
+    count = max(2, min(5, int(_CELL ** (1.0 / max(len(other_names), 1)) + 1e-9)))
     axes = {}
-    for name, number in zip(("speed", "friction", *others), (*levels, *[count] * len(others)), strict=True):
-        low, high = _range(name, domain, own)
+    for name, number in zip(("speed", "friction", *other_names), (*levels, *[count] * len(other_names)), strict=True):
+        low, high = _range(name, domain, scheduler_domain)
         if name == "speed":
             low = max(low, mpc.speed_floor)
         if not -math.inf < low <= high < math.inf or number < 1:
@@ -299,22 +313,24 @@ def _axes(
     return axes
 
 
-def _range(name: str, domain: Mapping[str, tuple[float, float]], own: Mapping[str, list[float]]) -> tuple[float, float]:
+def _range(
+    name: str, domain: Mapping[str, tuple[float, float]], scheduler_domain: Mapping[str, list[float]]
+) -> tuple[float, float]:
     """What `domain` says; else where driving and the schedule's own domain overlap, its own where they do not."""
     if name in domain:
         low, high = (real("certify", f"domain: {name}", bound) for bound in domain[name])
         return low, high
     low, high = OPERATING[name]
-    if name in own:
-        overlap = max(low, own[name][0]), min(high, own[name][1])
-        low, high = overlap if overlap[0] <= overlap[1] else own[name]
+    if name in scheduler_domain:
+        overlap = max(low, scheduler_domain[name][0]), min(high, scheduler_domain[name][1])
+        low, high = overlap if overlap[0] <= overlap[1] else scheduler_domain[name]
     return low, high
 
 
 def _tunings(scheduler: Scheduler, points: Array) -> Array:
     """(n, 4) what the scheduler gives at each point, each as at a first step."""
     if isinstance(scheduler, Schedule):
-        given = scheduler.batch(points)
+        raw_tunings = scheduler.batch(points)
     else:
         rows = []
         for row in points.tolist():
@@ -322,15 +338,15 @@ def _tunings(scheduler: Scheduler, points: Array) -> Array:
                 rows.append(read_tuning(scheduler(SchedulingVariables(*row))))
             except Exception as error:
                 raise ContractError(f"scheduler: failed for {SchedulingVariables(*row)}: {error}") from error
-        given = np.array(rows)
-    bad = ~(np.isfinite(given).all(axis=1) & (given[:, 2] >= 0.0) & (given[:, 3] > 0.0))
-    if bad.any():
-        i = int(np.argmax(bad))
+        raw_tunings = np.array(rows)
+    invalid = ~(np.isfinite(raw_tunings).all(axis=1) & (raw_tunings[:, 2] >= 0.0) & (raw_tunings[:, 3] > 0.0))
+    if invalid.any():
+        i = int(np.argmax(invalid))
         raise ContractError(
-            f"scheduler: gave {tuple(given[i].tolist())} for {SchedulingVariables(*points[i].tolist())}: "
+            f"scheduler: gave {tuple(raw_tunings[i].tolist())} for {SchedulingVariables(*points[i].tolist())}: "
             "must be finite, with Q >= 0 and R > 0."
         )
-    return given
+    return raw_tunings
 
 
 def _as_used(tunings: Array, mpc: MPC) -> Array:
@@ -345,19 +361,21 @@ def _sweep(
     points: Array, tunings: list[Array], mpc: MPC, plants: Sequence[LinearPlant], progress: Progress
 ) -> list[list[Margins]]:
     """The margins of each set of tunings around each plant; a cell and a tuning that recur are analysed once."""
-    n, names = len(points), [each.name for each in fields(Margins)]
+    n, names = len(points), [field.name for field in fields(Margins)]
     results = np.empty((len(tunings), len(plants), len(names), n))
     places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
     at_speed = lru_cache(maxsize=1)(partial(linear_estimator, mpc))  # cells are sorted by speed
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))
-        here = np.flatnonzero(where.ravel() == cell)
-        unique, place = np.unique(np.concatenate([each[here] for each in tunings]), axis=0, return_inverse=True)
+        rows = np.flatnonzero(where.ravel() == cell)
+        unique, place = np.unique(
+            np.concatenate([point_tunings[rows] for point_tunings in tunings]), axis=0, return_inverse=True
+        )
         law = laws(mpc, speed, unique, at_speed(speed))
         for i, plant in enumerate(plants):
-            found = margins(plant(speed, friction), law, mpc.period)
-            values = np.array([getattr(found, name) for name in names])[:, place.ravel()]
-            results[:, i, :, here] = values.reshape(len(names), len(tunings), len(here)).transpose(2, 1, 0)
+            cell_margins = margins(plant(speed, friction), law, mpc.period)
+            values = np.array([getattr(cell_margins, name) for name in names])[:, place.ravel()]
+            results[:, i, :, rows] = values.reshape(len(names), len(tunings), len(rows)).transpose(2, 1, 0)
     progress("certify", len(cells), len(cells))
-    return [[Margins(*values) for values in each] for each in results]
+    return [[Margins(*values) for values in columns] for columns in results]

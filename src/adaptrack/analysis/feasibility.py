@@ -91,18 +91,18 @@ class Feasibility:
 
         Largest: with the most nodes of the grid.
         """
-        found = largest_box(self.held[:, :, None])
-        return None if found is None else self._domain(found)
+        box = largest_box(self.held[:, :, None])
+        return None if box is None else self._domain(box)
 
     @property
     def constant(self) -> tuple[Tuning, FeasibleRanges] | None:
         """The largest domain that one tuning can hold, and of those that can the one with the largest margin there."""
-        found = largest_box(self.enough)
-        if found is None:
+        box = largest_box(self.enough)
+        if box is None:
             return None
-        rows, columns = found
+        rows, columns = box
         Np, Nc, Q, R = self.tunings[np.argmax(self.margins[rows, columns].min(axis=(0, 1)))].tolist()
-        return Tuning(int(Np), int(Nc), Q, R), self._domain(found)
+        return Tuning(int(Np), int(Nc), Q, R), self._domain(box)
 
     def _domain(self, box: tuple[slice, slice]) -> FeasibleRanges:
         speeds, frictions = self.speeds[box[0]], self.frictions[box[1]]
@@ -169,7 +169,7 @@ def largest_box(ok: NDArray[np.bool_]) -> tuple[slice, slice] | None:
 
     None when there is none. The first of those with the most entries.
     """
-    most, found = 0, None
+    most, largest = 0, None
     for left in range(ok.shape[1]):
         for right in range(left, ok.shape[1]):
             run = np.zeros(ok.shape[2], dtype=np.int64)
@@ -177,8 +177,8 @@ def largest_box(ok: NDArray[np.bool_]) -> tuple[slice, slice] | None:
                 run = np.where(ok[i, left : right + 1].all(axis=0), run + 1, 0)
                 size = int(run.max(initial=0)) * (right - left + 1)
                 if size > most:
-                    most, found = size, (slice(i + 1 - int(run.max()), i + 1), slice(left, right + 1))
-    return found
+                    most, largest = size, (slice(i + 1 - int(run.max()), i + 1), slice(left, right + 1))
+    return largest
 
 
 def _ranges(values: Array, chosen: NDArray[np.bool_]) -> list[str]:
@@ -246,8 +246,8 @@ def feasibility(
         np.linspace(*friction, 3 if friction[1] > friction[0] else 1),
         *allowed,
     )
-    found = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
-    return Feasibility.of_map(axes, found, margin)
+    margins = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
+    return Feasibility.of_map(axes, margins, margin)
 
 
 def _up_to(axis: ArrayLike, most: int) -> Array:

@@ -90,10 +90,10 @@ def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
     assert mpc.learner is not None
     lag, dead_time = (high for _, high in mpc.learner.ranges)
     rate = belief.rate.value if math.isfinite(belief.rate.value) else None
-    known = Steering(lag=lag, dead_time=dead_time, rate=rate, limit=belief.limit.value)
+    slow_steering = Steering(lag=lag, dead_time=dead_time, rate=rate, limit=belief.limit.value)
     actuator = world.steering.replace(lag=lag, dead_time=dead_time)
     slow = world.replace(steering=actuator)
-    return MPC(mpc.vehicle, mpc.tuning, profile=slow, belief=known, period=mpc.period), slow
+    return MPC(mpc.vehicle, mpc.tuning, profile=slow, belief=slow_steering, period=mpc.period), slow
 
 
 @lru_cache(maxsize=16)
@@ -111,12 +111,12 @@ def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
             lasting = [_lasting(speed, share * mu * GRAVITY, longest) for share in BRAKING]
             for k, share in enumerate(SIDEWAYS):
                 lateral = share * cornering[i]
-                found = _margins(plant, (mpc, world), at, (speed, mu, lateral))
-                if found is None:  # tighter than the wheels can turn, or beyond the grip: no braking
+                margins = _margins(plant, (mpc, world), at, (speed, mu, lateral))
+                if margins is None:  # tighter than the wheels can turn, or beyond the grip: no braking
                     braking[i, j, k] = min(braking[i, j, k - 1], 0.0)
                     continue
                 room = (cornering[i] - lateral) / (DISTURBED + UNMODELLED * lateral)
-                braking[i, j, k] = _braking(found, [borne(room, time, mpc.period) for time in lasting])
+                braking[i, j, k] = _braking(margins, [borne(room, time, mpc.period) for time in lasting])
     return HoldableSpeed(
         vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest,
         reserve=DISTURBED, speeds=tuple(speeds), sideways=SIDEWAYS, frictions=FRICTIONS,
@@ -149,12 +149,12 @@ def _margins(
 
 def _braking(margins: Iterable[float], least: Sequence[float]) -> float:
     """Deceleration over mu g at which the margin falls below the least; below 0 where it is less without braking."""
-    before, found = 0.0, 0.0
+    before, holdable = 0.0, 0.0
     for share, margin, bound in zip(BRAKING, margins, least, strict=True):
         over = margin - bound
         if over < 0.0:
-            return max(over, BEYOND) if share == 0.0 else before + (share - before) * found / (found - over)
-        before, found = share, over
+            return max(over, BEYOND) if share == 0.0 else before + (share - before) * holdable / (holdable - over)
+        before, holdable = share, over
     return BRAKING[-1]
 
 
@@ -176,5 +176,5 @@ def top_speed(car: Vehicle) -> float:
     """The highest speed (m/s) that the car's power holds on a level road."""
     v = np.linspace(1.0, SPEED.most, 397)
     air = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2
-    held = np.minimum(car.traction_limit, car.engine_power / v) >= air + car.rolling_resistance * car.mass * GRAVITY
-    return float(v[held].max(initial=1.0))
+    holdable = np.minimum(car.traction_limit, car.engine_power / v) >= air + car.rolling_resistance * car.mass * GRAVITY
+    return float(v[holdable].max(initial=1.0))

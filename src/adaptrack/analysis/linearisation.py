@@ -69,11 +69,11 @@ def steady_turn(
     if deceleration != 0.0 and "felt_ax" in names:
         x[names.index("felt_ax")] = -deceleration
 
-    def residual(values: Array, wanted: float) -> Array:
+    def residual(values: Array, target: float) -> Array:
         state = x.copy()
         state[free] = values[:-1]
         slope = plant.derivative(state, [values[-1], force], road)[free]
-        return np.append(slope, state[yaw_rate] * speed - wanted)
+        return np.append(slope, state[yaw_rate] * speed - target)
 
     unknown, reached = _raised(residual, np.append(x[free], 0.0), acceleration)
     if reached < abs(acceleration):
@@ -104,10 +104,10 @@ def _raised(residual: Callable[[Array, float], Array], unknown: Array, accelerat
     reached, step = 0.0, min(abs(acceleration), 1.0)
     ahead = np.zeros_like(unknown)  # change of the unknowns per m/s^2 in the last step
     while reached < abs(acceleration):
-        wanted = min(reached + step, abs(acceleration))
-        tried, found = _newton(residual, unknown + (wanted - reached) * ahead, np.copysign(wanted, acceleration))
-        if found and abs(tried[-1] - unknown[-1]) < 0.1:
-            ahead, unknown, reached = (tried - unknown) / (wanted - reached), tried, wanted
+        target = min(reached + step, abs(acceleration))
+        trial, converged = _newton(residual, unknown + (target - reached) * ahead, np.copysign(target, acceleration))
+        if converged and abs(trial[-1] - unknown[-1]) < 0.1:
+            ahead, unknown, reached = (trial - unknown) / (target - reached), trial, target
         elif step > 1e-3:
             step *= 0.5
         else:
@@ -115,18 +115,18 @@ def _raised(residual: Callable[[Array, float], Array], unknown: Array, accelerat
     return unknown, reached
 
 
-def _newton(residual: Callable[[Array, float], Array], x: Array, wanted: float) -> tuple[Array, bool]:
+def _newton(residual: Callable[[Array, float], Array], x: Array, target: float) -> tuple[Array, bool]:
     """A root of residual(x, wanted) near x, and whether one was found."""
     for _ in range(20):
-        error = residual(x, wanted)
-        slopes = np.array([(residual(x + h, wanted) - error) / _STEP for h in _STEP * np.eye(len(x))])
+        error = residual(x, target)
+        slopes = np.array([(residual(x + h, target) - error) / _STEP for h in _STEP * np.eye(len(x))])
         if not np.isfinite(slopes).all() or not np.isfinite(error).all():
             return x, False
         change = np.linalg.lstsq(slopes.T, error)[0]
         x = x - change
         if not np.abs(change).max() > 1e-10:
             break
-    return x, bool(np.abs(residual(x, wanted)).max() < 1e-6)
+    return x, bool(np.abs(residual(x, target)).max() < 1e-6)
 
 
 def linearised(
@@ -163,19 +163,19 @@ class Steady(NamedTuple):
         cls, plant: Plant, speed: float, friction: float, lateral_acceleration: float, deceleration: float = 0.0
     ) -> Steady:
         """See `steady_turn`."""
-        found = steady_turn(plant, speed, lateral_acceleration, friction, deceleration)
-        return cls(speed, friction, deceleration, *found)
+        turn = steady_turn(plant, speed, lateral_acceleration, friction, deceleration)
+        return cls(speed, friction, deceleration, *turn)
 
     def measured(self, plant: Plant, period: float) -> Array:
         """(9,) what the sensors give in it, the turn of the path included, see `core.models.contract.MEASURED`."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
-        known = {name: states[name] for name in ("vy", "yaw_rate")} | {
+        signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
             "yaw": states["psi"],
             "wheel_angle": self.steering,
         }
-        known |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
-        return np.array([known.get(name, 0.0) for name in contract.MEASURED._fields])
+        signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
+        return np.array([signals.get(name, 0.0) for name in contract.MEASURED._fields])
 
 
 def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]:
@@ -291,8 +291,8 @@ class Mismatch:
         """How tables call it."""
         sums = (("lag", self.lag), ("dead time", self.dead_time))
         factors = (("stiffness", self.stiffness), ("mass", self.mass))
-        words = [f"{what} {value:+.3g} s" for what, value in sums if value != 0.0]
-        return ", ".join(words + [f"{what} x {value:.3g}" for what, value in factors if value != 1.0]) or "none"
+        words = [f"{quantity} {value:+.3g} s" for quantity, value in sums if value != 0.0]
+        return ", ".join(words + [f"{quantity} x {value:.3g}" for quantity, value in factors if value != 1.0]) or "none"
 
     def sampled(
         self, plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper"
@@ -357,16 +357,16 @@ def _held(flow: Array, period: float, delay: float) -> Array:
     from scipy.linalg import expm
 
     n = len(flow) - 1
-    whole, part = divmod(delay, 1.0)
-    pending = int(whole) + (part > 0.0)
+    periods, part = divmod(delay, 1.0)
+    pending = int(periods) + (part > 0.0)
     early, late = expm(flow * (part * period)), expm(flow * ((1.0 - part) * period))
     size = n + pending
     step = np.zeros((size, size + 1))
     step[:n, :n] = late[:n, :n] @ early[:n, :n]
     place = [size, *range(n, size)]  # columns of the commands of this instant, of the last one, ...
-    step[:n, place[int(whole)]] = late[:n, n]
+    step[:n, place[int(periods)]] = late[:n, n]
     if part > 0.0:
-        step[:n, place[int(whole) + 1]] = late[:n, :n] @ early[:n, n]
+        step[:n, place[int(periods) + 1]] = late[:n, :n] @ early[:n, n]
     step[place[1:], place[:-1]] = 1.0
     return step
 
@@ -455,10 +455,10 @@ class EstimatorAt:
             self._speed, measured, command, self._a, self._b[:, 0], self._parameters, memory, self._x, self._d
         )
 
-    def _answer(self, turned: float, given: Array) -> Array:
+    def _answer(self, turned: float, inputs: Array) -> Array:
         """[memory, xi] after a step from [memory, measured, command]."""
-        after, command = given[: self._memory].copy(), float(given[-1])
-        self._step(np.append(given[self._memory : -1], turned), command, after)
+        after, command = inputs[: self._memory].copy(), float(inputs[-1])
+        self._step(np.append(inputs[self._memory : -1], turned), command, after)
         return np.concatenate([after, self._a @ self._x + self._b[:, 0] * command + self._d - self._x, self._x[-1:]])
 
     @cached_property
@@ -468,8 +468,8 @@ class EstimatorAt:
 
     @cached_property
     def _straight(self) -> tuple[LinearEstimator, list[int]]:
-        rest = np.zeros(self._memory + self._sensors + 1)
-        remembered = rest[: self._memory]
+        equilibrium = np.zeros(self._memory + self._sensors + 1)
+        remembered = equilibrium[: self._memory]
         swing, back = np.zeros(self._sensors + 1), np.zeros(self._sensors + 1)
         swing[: self._sensors - 2], back[: self._sensors - 2] = -_DITHER, _DITHER
         before, change = remembered.copy(), np.full(self._memory, np.inf)
@@ -480,16 +480,16 @@ class EstimatorAt:
                 if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
                     break
                 before = remembered.copy()
-        found = _differences(partial(self._answer, 0.0), rest, self._memory)
-        moved = [i for i in found if i < self._memory]
-        moves = np.array([found[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
+        derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory)
+        moved = [i for i in derivatives if i < self._memory]
+        moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
         matter = _that_matter(moves, moved, self._memory)
-        return self._of_changes(found, matter), matter
+        return self._of_changes(derivatives, matter), matter
 
-    def _of_changes(self, found: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
+    def _of_changes(self, derivatives: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
         memory, n = self._memory, self.model.n
         inputs = [*matter, *range(memory, memory + self._sensors + 1)]
-        rows = np.array([found[i] for i in inputs]).T[[*matter, *range(memory, memory + n + 1)]]
+        rows = np.array([derivatives[i] for i in inputs]).T[[*matter, *range(memory, memory + n + 1)]]
         return _with_last_command(rows, len(matter))
 
     def in_turn(self, measured: Array, command: float) -> LinearEstimator:
@@ -505,17 +505,17 @@ class EstimatorAt:
         swing[: self._sensors - 2] = _SWING
         for k in range(math.ceil(_TURNING / self.model.period)):
             self._step(measured + (swing if k % 2 else -swing), command, memory)
-        rest = np.concatenate([memory, measured[:-1], [command]])
-        settled = self._answer(measured[-1], rest)
-        found = {}
-        for place in (*places, *range(self._memory, rest.size)):
-            given = rest.copy()
-            given[place] += _STEP
-            found[place] = (self._answer(measured[-1], given) - settled) / _STEP
+        equilibrium = np.concatenate([memory, measured[:-1], [command]])
+        settled = self._answer(measured[-1], equilibrium)
+        derivatives = {}
+        for place in (*places, *range(self._memory, equilibrium.size)):
+            inputs = equilibrium.copy()
+            inputs[place] += _STEP
+            derivatives[place] = (self._answer(measured[-1], inputs) - settled) / _STEP
         ages = slice(self._memory + self._sensors - 2, self._memory + self._sensors)
         for place in range(ages.start, ages.stop):
-            found[place] = np.zeros_like(settled)  # how old a sample is does not change
-        return self._of_changes(found, places)
+            derivatives[place] = np.zeros_like(settled)  # how old a sample is does not change
+        return self._of_changes(derivatives, places)
 
 
 def _within(values: Array, most: float) -> bool:
@@ -533,18 +533,18 @@ def _increments(model: PredictionModel) -> LinearEstimator:
     )
 
 
-def _differences(step: Callable[[Array], Array], rest: Array, memory: int) -> dict[int, Array]:
+def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int) -> dict[int, Array]:
     """By place in `rest`: what a unit change there does to a step, for inputs and the memory that moves with them."""
-    settled, found, waiting = step(rest), {}, list(range(memory, len(rest)))
+    settled, derivatives, waiting = step(equilibrium), {}, list(range(memory, len(equilibrium)))
     while waiting:
         place = waiting.pop()
-        given = rest.copy()
-        given[place] += _STEP
-        change = (step(given) - settled) / _STEP
-        found[place] = np.where(np.abs(change) > _NOTHING, change, 0.0)
-        moved = np.flatnonzero(found[place][:memory]).tolist()
-        waiting += [i for i in moved if i not in found and i not in waiting]
-    return found
+        inputs = equilibrium.copy()
+        inputs[place] += _STEP
+        change = (step(inputs) - settled) / _STEP
+        derivatives[place] = np.where(np.abs(change) > _NOTHING, change, 0.0)
+        moved = np.flatnonzero(derivatives[place][:memory]).tolist()
+        waiting += [i for i in moved if i not in derivatives and i not in waiting]
+    return derivatives
 
 
 def _that_matter(moves: Array, places: list[int], memory: int) -> list[int]:
@@ -575,8 +575,8 @@ class Laws:
     k: Array
     """(n, states + 1) feedback of each tuning, du = -k xi"""
 
-    def __getitem__(self, which: slice) -> Laws:
-        return Laws(self.estimator, self.k[which])
+    def __getitem__(self, rows: slice) -> Laws:
+        return Laws(self.estimator, self.k[rows])
 
 
 def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> Laws:
@@ -597,12 +597,12 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
     phi = np.where(below >= 0, step[below], 0.0)
     gains = np.empty((len(rows), mpc.model.n + 1))
     for i, (Np, Nc) in enumerate(horizons.tolist()):
-        which = np.flatnonzero(group.ravel() == i)
+        members = np.flatnonzero(group.ravel() == i)
         basis = np.eye(Np, Nc)
         if mpc.moves.kind == "laguerre":
             basis = laguerre_basis(Np, mpc.moves.terms, mpc.moves.pole)
         effect = phi[:Np, :Np] @ basis
-        Q, R = rows[which, 2, None, None], caution * rows[which, 3, None, None]
+        Q, R = rows[members, 2, None, None], caution * rows[members, 3, None, None]
         moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
-        gains[which] = basis[0] @ moves
+        gains[members] = basis[0] @ moves
     return Laws(estimator, gains)

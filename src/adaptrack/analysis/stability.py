@@ -44,14 +44,14 @@ def loops(plant: Sampled, law: Laws, gain: float = 1.0) -> Array:
 
     gain: a factor on every command between the controller and the steering.
     """
-    own, measured = law.estimator, _measured(plant, law)
-    m, q = len(plant.b), len(own.a)
-    of_z, of_s = -law.k @ (own.d @ measured), own.h - law.k @ own.c  # u = of_z z + of_s s
+    estimator, measured = law.estimator, _measured(plant, law)
+    m, q = len(plant.b), len(estimator.a)
+    of_z, of_s = -law.k @ (estimator.d @ measured), estimator.h - law.k @ estimator.c  # u = of_z z + of_s s
     matrices = np.empty((len(law.k), m + q, m + q))
     matrices[:, :m, :m] = plant.a + gain * plant.b[:, None] * of_z[:, None, :]
     matrices[:, :m, m:] = gain * plant.b[:, None] * of_s[:, None, :]
-    matrices[:, m:, :m] = own.e @ measured + own.f[:, None] * of_z[:, None, :]
-    matrices[:, m:, m:] = own.a + own.f[:, None] * of_s[:, None, :]
+    matrices[:, m:, :m] = estimator.e @ measured + estimator.f[:, None] * of_z[:, None, :]
+    matrices[:, m:, m:] = estimator.a + estimator.f[:, None] * of_s[:, None, :]
     return matrices
 
 
@@ -133,12 +133,12 @@ def loop_gain(plant: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex
     The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The controller itself knows
     the commands that it gave.
     """
-    own, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
+    estimator, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
     measured = _measured(plant, law) @ _resolvent(z, plant.a, plant.b[:, None])[:, 0]  # (sensors, angles)
-    remembered = _resolvent(z, own.a, np.column_stack([own.e, own.f]))  # (q, sensors + 1, angles)
+    remembered = _resolvent(z, estimator.a, np.column_stack([estimator.e, estimator.f]))  # (q, sensors + 1, angles)
     by_measured, by_own = np.einsum("qsz,sz->qz", remembered[:, :-1], measured), remembered[:, -1]
-    fed_back = law.k @ (own.c @ by_measured + own.d @ measured) - own.h @ by_measured
-    return np.asarray(fed_back / (1.0 + law.k @ (own.c @ by_own) - own.h @ by_own))
+    fed_back = law.k @ (estimator.c @ by_measured + estimator.d @ measured) - estimator.h @ by_measured
+    return np.asarray(fed_back / (1.0 + law.k @ (estimator.c @ by_own) - estimator.h @ by_own))
 
 
 def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
@@ -146,9 +146,9 @@ def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
     from scipy.linalg import schur
 
     t, u = schur(a, output="complex")
-    given, x = u.conj().T @ b, np.empty((*b.shape, len(z)), dtype=np.complex128)
+    rotated, x = u.conj().T @ b, np.empty((*b.shape, len(z)), dtype=np.complex128)
     for i in reversed(range(len(a))):
-        x[i] = (given[i][:, None] + np.tensordot(t[i, i + 1 :], x[i + 1 :], 1)) / (z - t[i, i])
+        x[i] = (rotated[i][:, None] + np.tensordot(t[i, i + 1 :], x[i + 1 :], 1)) / (z - t[i, i])
     return np.asarray(np.tensordot(u, x, 1))
 
 
@@ -274,19 +274,23 @@ def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], a
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
         law = laws(mpc, v, tunings)
-        known: dict[LinearPlant, tuple[Sampled, Array]] = {}  # driving straight, most tyres are alike on every friction
+        sampled_plants: dict[
+            LinearPlant, tuple[Sampled, Array]
+        ] = {}  # driving straight, most tyres are alike on every friction
         for j, mu in enumerate(axes[1].tolist()):
             for plant in plants:
-                here = plant(v, mu)
-                if plant not in known or not _alike(here, known[plant][0]):
-                    known[plant] = here, modulus_margin(here, law, angles)
-            least[i, j] = np.min([margin for _, margin in known.values()], axis=0)
+                linear_plant = plant(v, mu)
+                if plant not in sampled_plants or not _alike(linear_plant, sampled_plants[plant][0]):
+                    sampled_plants[plant] = linear_plant, modulus_margin(linear_plant, law, angles)
+            least[i, j] = np.min([margin for _, margin in sampled_plants.values()], axis=0)
     return least.reshape([len(axis) for axis in axes])
 
 
-def _alike(one: Sampled, other: Sampled) -> bool:
+def _alike(first: Sampled, other: Sampled) -> bool:
     """Whether two bodies differ by no more than the rounding of their linearisation."""
-    return bool(np.allclose(one.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(one.b, other.b, rtol=1e-7, atol=1e-9))
+    return bool(
+        np.allclose(first.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(first.b, other.b, rtol=1e-7, atol=1e-9)
+    )
 
 
 def loop_map(

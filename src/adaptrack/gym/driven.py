@@ -66,8 +66,8 @@ class Driven:
         return {"failed": reason or "", "J": math.inf if reason else self._total / self.loop.signals.n}
 
 
-def needs_reset(driven: Driven | None) -> Driven:
+def needs_reset(drive: Driven | None) -> Driven:
     """The run; `gymnasium.error.ResetNeeded` when there is none, or it is over."""
-    if driven is None or driven.over:
+    if drive is None or drive.over:
         raise gymnasium.error.ResetNeeded("call reset() first: no run has begun, or it is over.")
-    return driven
+    return drive

@@ -112,26 +112,26 @@ class MPCTuningEnv(gymnasium.Env):
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Drive `every` control periods with a tuning, see `gymnasium.Env.step`."""
-        driven = needs_reset(self._driven)
+        drive = needs_reset(self._driven)
         self._chosen.tuning = tuple(self.tunings.entries(checked_action(action, self.tunings.box)).tolist())
-        loop, cost = driven.loop, 0.0
+        loop, cost = drive.loop, 0.0
         for _ in range(self.every):
-            now = driven.sensed
-            ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(now.speed)}
-            answer = self._mpc.step(now.measured, now.speed, now.reference, now.variables, **ahead)
+            sensed = drive.sensed
+            ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(sensed.speed)}
+            answer = self._mpc.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, **ahead)
             self._belief = answer.learned or self._belief
-            cost += driven.drive(answer.angle)
-            if driven.over:
+            cost += drive.drive(answer.angle)
+            if drive.over:
                 break
-        return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info | self._belief_info
+        return self._observe(drive), -cost, drive.terminated, drive.truncated, drive.info | self._belief_info
 
     @property
     def _belief_info(self) -> dict[str, Any]:
         """What ``info`` says of what has been learned."""
         return {} if self._mpc.learner is None else {STATE: int(self._belief[BELIEFS.index(STATE)])}
 
-    def _observe(self, driven: Driven) -> Array:
-        given = np.array([*driven.sensed.variables, *self._belief])
+    def _observe(self, drive: Driven) -> Array:
+        inputs = np.array([*drive.sensed.variables, *self._belief])
         space = self.observation_space
-        self._observed = np.clip(np.where(np.isfinite(given), given, self._observed), space.low, space.high)  # type: ignore[attr-defined]
+        self._observed = np.clip(np.where(np.isfinite(inputs), inputs, self._observed), space.low, space.high)  # type: ignore[attr-defined]
         return self._observed.copy()

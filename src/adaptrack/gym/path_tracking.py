@@ -93,20 +93,20 @@ class PathTrackingEnv(gymnasium.Env):
         """Begin an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
         episode = self.task.draw(self.np_random, options)
-        self._driven = driven = Driven(self.task, episode, Outside(episode.profile.period))
+        self._driven = drive = Driven(self.task, episode, Outside(episode.profile.period))
         space = self.observation_space
         bounds = ObservationSpace(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
         self._bounds = Resident(bounds)
         self._observed = np.zeros(len(self.names))
-        return self._observe(driven), episode.info
+        return self._observe(drive), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Drive a control period, see `gymnasium.Env.step`."""
-        driven = needs_reset(self._driven)
+        drive = needs_reset(self._driven)
         (command,) = checked_action(action, self.action_space).tolist()  # type: ignore[arg-type]
-        cost = driven.drive(command)
-        return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info
+        cost = drive.drive(command)
+        return self._observe(drive), -cost, drive.terminated, drive.truncated, drive.info
 
-    def _observe(self, driven: Driven) -> Array:
-        write_one_observation(driven.loop.place, self._bounds, self._observed)
+    def _observe(self, drive: Driven) -> Array:
+        write_one_observation(drive.loop.place, self._bounds, self._observed)
         return self._observed.copy()

@@ -52,10 +52,10 @@ def box(bounds: Sequence[tuple[float, float]]) -> spaces.Box:
 
 def checked_distances(distances: Sequence[float]) -> Array:
     """Distances (m) at which one looks ahead."""
-    given = np.atleast_1d(reals("distances", distances)).copy()
-    if not (np.isfinite(given).all() and (given >= 0.0).all()):
-        raise InvalidInput(f"distances = {given.tolist()!r} m: must be finite and not negative.")
-    return given
+    metres = np.atleast_1d(reals("distances", distances)).copy()
+    if not (np.isfinite(metres).all() and (metres >= 0.0).all()):
+        raise InvalidInput(f"distances = {metres.tolist()!r} m: must be finite and not negative.")
+    return metres
 
 
 def observation_box(distances: Array) -> spaces.Box:
@@ -66,7 +66,7 @@ def observation_box(distances: Array) -> spaces.Box:
 
 def observation_names(distances: Array) -> tuple[str, ...]:
     """The names of its columns."""
-    ahead = [f"{what}_{each:g}m" for what in ("reference", "curvature") for each in distances]
+    ahead = [f"{signal}_{distance:g}m" for signal in ("reference", "curvature") for distance in distances]
     return (*OBSERVED_WITHIN, *ahead)
 
 
@@ -84,12 +84,12 @@ def checked_action(action: Any, space: spaces.Box) -> Array:
     InvalidInput
         When it is not made of numbers, has another shape or is not finite.
     """
-    given = reals("action", action)
-    if given.shape != space.shape:
-        raise InvalidInput(f"action: shape {given.shape}, expected {space.shape}.")
-    if not np.isfinite(given).all():
-        raise InvalidInput(f"action = {given}: must be finite; look at what the policy computes.")
-    return np.clip(given, space.low, space.high)
+    values = reals("action", action)
+    if values.shape != space.shape:
+        raise InvalidInput(f"action: shape {values.shape}, expected {space.shape}.")
+    if not np.isfinite(values).all():
+        raise InvalidInput(f"action = {values}: must be finite; look at what the policy computes.")
+    return np.clip(values, space.low, space.high)
 
 
 # -- the MPC that is tuned --------------------------------------------------------------------------------------------
@@ -104,21 +104,21 @@ def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MP
     UnknownName
         When there is no such controller.
     """
-    how: dict[str, Any] = {"period": profile.period, "preview": True, "scheduler": scheduler}
+    arguments: dict[str, Any] = {"period": profile.period, "preview": True, "scheduler": scheduler}
     if kind == "as-written":
-        return published_mpc(vehicle, **how)
+        return published_mpc(vehicle, **arguments)
     if kind not in CONTROLLERS:
         raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, CONTROLLERS)}")
-    return MPC(vehicle, profile=profile, learning=Learning() if kind == "informed-learning" else None, **how)
+    return MPC(vehicle, profile=profile, learning=Learning() if kind == "informed-learning" else None, **arguments)
 
 
 class Tunings:
     """The tunings that may be chosen, and the actions within +-1 that stand for them."""
 
     def __init__(self, mpc: MPC) -> None:
-        own = math.log10(mpc.tuning.R / mpc.tuning.Q)
-        self.low = np.array([1.0, 1.0, own - DECADES])
-        self.high = np.array([mpc.longest_horizon, mpc.most_moves, own + DECADES])
+        log_ratio = math.log10(mpc.tuning.R / mpc.tuning.Q)
+        self.low = np.array([1.0, 1.0, log_ratio - DECADES])
+        self.high = np.array([mpc.longest_horizon, mpc.most_moves, log_ratio + DECADES])
         self.box = box([(-1.0, 1.0)] * 3)
 
     def of(self, actions: Array) -> Array:
@@ -128,8 +128,8 @@ class Tunings:
     def entries(self, actions: Array) -> Array:
         """(..., 4) Np, Nc, Q and R of actions (..., 3), the same to the bit for one action and for many."""
         chosen = self.of(actions)
-        one = np.ones_like(chosen[..., 2:])
-        return np.concatenate([chosen[..., :2], one, np.power(10.0 * one, chosen[..., 2:])], axis=-1)
+        ones = np.ones_like(chosen[..., 2:])
+        return np.concatenate([chosen[..., :2], ones, np.power(10.0 * ones, chosen[..., 2:])], axis=-1)
 
     def action(self, Np: float, Nc: float, ratio: float) -> Array:
         """The action (3,) that stands for Np, Nc and log10 R/Q.

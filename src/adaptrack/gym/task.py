@@ -93,9 +93,9 @@ class Task:
             object.__setattr__(self, "road", (self.road,))
         if not isinstance(self.road, Sequence) or not self.road:
             raise InvalidInput(f"road = {self.road!r}: must be a road or a sequence of at least one.")
-        for each in self.road:
-            if not isinstance(each, str | Scenario | RoadDrive):
-                raise InvalidInput(f"road = {each!r}: must be a name, a file, a Scenario or a RoadDrive.")
+        for name in self.road:
+            if not isinstance(name, str | Scenario | RoadDrive):
+                raise InvalidInput(f"road = {name!r}: must be a name, a file, a Scenario or a RoadDrive.")
         if self.randomised and not isinstance(self.car, str | None):
             raise InvalidInput(f"random_cars: car = {self.car!r}: must be the name of a shipped car, or left out.")
         if self.failure_cost is not None and not 0.0 <= real("failure_cost", "m^2", self.failure_cost) < math.inf:
@@ -146,15 +146,15 @@ class Task:
         return {"road": len(self.roads), **cars, "noise_seed": SEEDS}
 
     def _episode(self, drawn: dict[str, int]) -> Episode:
-        which, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]
+        road_index, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]
         if seed is None:
             vehicle, plant, profile = self.known_car()
-            return Episode(vehicle, plant, profile, self.drive(which, vehicle), which, noise, None)
+            return Episode(vehicle, plant, profile, self.drive(road_index, vehicle), road_index, noise, None)
         ranges = self.random_cars if isinstance(self.random_cars, CarRanges) else None
         bases = BASES if self.car is None else (str(self.car),)
-        made = random_car(seed, bases=bases, profile=self.world, ranges=ranges)
-        plant, drive = DualTrack(made.vehicle, made.tyre), self.drive(which, load_vehicle(made.base))
-        return Episode(made.vehicle, plant, made.profile, drive, which, noise, seed)
+        car = random_car(seed, bases=bases, profile=self.world, ranges=ranges)
+        plant, drive = DualTrack(car.vehicle, car.tyre), self.drive(road_index, load_vehicle(car.base))
+        return Episode(car.vehicle, plant, car.profile, drive, road_index, noise, seed)
 
     def known_car(self) -> tuple[Vehicle, Plant | SteppedPlant, Profile]:
         """The car, its plant and its world where they are not drawn."""
@@ -172,14 +172,14 @@ class Task:
             )
         return vehicle, car, self.world
 
-    def drive(self, which: int, vehicle: Vehicle) -> Scenario | RoadDrive:
+    def drive(self, road_index: int, vehicle: Vehicle) -> Scenario | RoadDrive:
         """One of the roads, its speed planned for a vehicle: of a random car the one about which it is drawn."""
-        road = self.roads[which]
+        road = self.roads[road_index]
         if not isinstance(road, str):
             return road
-        if (which, vehicle.name) not in self._drives:
-            self._drives[which, vehicle.name] = load_drive(road, vehicle, self.length, self.duration)
-        return self._drives[which, vehicle.name]
+        if (road_index, vehicle.name) not in self._drives:
+            self._drives[road_index, vehicle.name] = load_drive(road, vehicle, self.length, self.duration)
+        return self._drives[road_index, vehicle.name]
 
     def cost_of_failure(self, distance: float) -> float:
         """m^2, of each instant that a failed run does not drive, by the failure distance (m)."""

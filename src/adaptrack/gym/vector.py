@@ -102,8 +102,8 @@ class _VectorEnv(VectorEnv):
 
     def _attached(self, block: Block) -> Block:
         """A block of a copy, its episodes and observations again rows of the environment's arrays."""
-        own, observations = self._own[block.slots], self._observed[block.slots]
-        episodes = block.episodes._replace(own=own, observations=observations)
+        own_states, observations = self._own[block.slots], self._observed[block.slots]
+        episodes = block.episodes._replace(own=own_states, observations=observations)
         return block._replace(episodes=episodes, resident=Resident(episodes))
 
     names: tuple[str, ...]
@@ -140,10 +140,10 @@ class _VectorEnv(VectorEnv):
             if seed is None:
                 self._rngs = list(self.np_random.spawn(self.num_envs))
             else:
-                each = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
-                if len(each) != self.num_envs:
+                seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
+                if len(seeds) != self.num_envs:
                     raise InvalidInput(f"reset: seed: need one, or one for each of {self.num_envs} cars.")
-                self._rngs = [gymnasium.utils.seeding.np_random(one)[0] for one in each]
+                self._rngs = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
         infos = self._begin(np.arange(self.num_envs), options)
         self._each(self._look)
         return self._observed.copy(), infos | self._belief_info
@@ -195,15 +195,15 @@ class _VectorEnv(VectorEnv):
         if not self._blocks:
             self._blocks = self._first_blocks(drawn[0])
         for i, block in enumerate(self._blocks):
-            here = [car for car in drawn if block.slots.start <= car < block.slots.stop]
-            if here and self.task.randomised:
-                self._blocks[i] = block = self._block(block.slots, drawn[here[0]])
-            for car in here:
+            block_cars = [car for car in drawn if block.slots.start <= car < block.slots.stop]
+            if block_cars and self.task.randomised:
+                self._blocks[i] = block = self._block(block.slots, drawn[block_cars[0]])
+            for car in block_cars:
                 self._place(block, car, drawn[car])
-            if here:
+            if block_cars:
                 renew(block.resident)
                 arrive(block.resident)
-                self._observed[here, self._own_columns :] = self._constant(block.batch)
+                self._observed[block_cars, self._own_columns :] = self._constant(block.batch)
         for car, episode in drawn.items():
             infos = self._add_info(infos, episode.info, car)
         return infos
@@ -211,7 +211,7 @@ class _VectorEnv(VectorEnv):
     def _first_blocks(self, episode: Episode) -> list[Block]:
         size = 1 if self.task.randomised else SLOTS
         slots = [slice(i, min(i + size, self.num_envs)) for i in range(0, self.num_envs, size)]
-        return [self._block(each, episode) for each in slots]
+        return [self._block(slot, episode) for slot in slots]
 
     def _block(self, slots: slice, episode: Episode) -> Block:
         """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
