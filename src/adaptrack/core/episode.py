@@ -24,7 +24,7 @@ EPISODE = record(
         "cost",  # m^2, of the periods of the last call
         "total",  # m^2, of all since the beginning
     ),
-    whole=("last", "over", "renewed", "due"),
+    integers=("last", "over", "renewed", "due"),
 )  # fmt: skip
 """Where each slot is in its run."""
 DRIVING, FAILED, ARRIVED = range(3)
@@ -51,17 +51,17 @@ def _span_of(slot, episodes):
 @inlined
 def _arrive(slot, episodes):
     """Judge the run of a slot at its present instant and take in what sensors give; one that is over is parked."""
-    own, run = episodes.own[slot], episodes.run
+    episode, run = episodes.own[slot], episodes.run
     memory = run.memory.own[slot]
     before_control(slot, _span_of(slot, episodes), run)
     if memory.ended != NOT_FINITE:
         for j in range(len(MEASURED)):
             episodes.measured[slot, j] = run.measured[j]
-    if memory.ended == RUNNING and memory.instant < own.last:
+    if memory.ended == RUNNING and memory.instant < episode.last:
         return
     close(slot, run)
-    own.over = ARRIVED if memory.ended == RUNNING else FAILED
-    own.cost += (own.last - memory.instant) * episodes.failure_cost
+    episode.over = ARRIVED if memory.ended == RUNNING else FAILED
+    episode.cost += (episode.last - memory.instant) * episodes.failure_cost
     place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
 
 
@@ -77,12 +77,12 @@ def arrive(episodes):
 @inlined
 def depart(slot, command, episodes):
     """Count what the present instant costs with a command (rad), and send it."""
-    own, run = episodes.own[slot], episodes.run
+    episode, run = episodes.own[slot], episodes.run
     memory = run.memory.own[slot]
     change = command - memory.command
-    own.cost += memory.error * memory.error + episodes.move_weight * change * change
+    episode.cost += memory.error * memory.error + episodes.move_weight * change * change
     after_control(slot, command, change, _span_of(slot, episodes), run)
-    own.due = 1
+    episode.due = 1
 
 
 @inlined
@@ -100,10 +100,10 @@ def renew(episodes):
     """Put the slots of an `Episodes` that are marked as renewed before the first instant of their scenarios."""
     run = episodes.run
     for slot in range(episodes.own.size):
-        own = episodes.own[slot]
-        if own.renewed == 0:
+        episode = episodes.own[slot]
+        if episode.renewed == 0:
             continue
-        own.over, own.renewed, own.due, own.cost, own.total = DRIVING, 0, 1, 0.0, 0.0
+        episode.over, episode.renewed, episode.due, episode.cost, episode.total = DRIVING, 0, 1, 0.0, 0.0
         episodes.observations[slot, :] = 0.0
         begin_slot(slot, run)
         mpc.forget(slot, run.mpc)

@@ -42,23 +42,23 @@ def _guarded(slot, run):
     """How often the guard has stepped in."""
     if not run.features.variables:
         return 0
-    own = run.schedule.memory[slot]
-    return own.rate_limited + own.unstable + own.fallback
+    guard_memory = run.schedule.memory[slot]
+    return guard_memory.rate_limited + guard_memory.unstable + guard_memory.fallback
 
 
 @inlined
 def _write_numbers(k, slot, run, answer, row):
     """A frame; k: the instant."""
-    own, block, signals = run.memory.own[slot], run.vehicles.block, run.given.signals
-    scenario, sample = run.given.scenario[slot], own.sample - 1
+    drive, block, signals = run.memory.own[slot], run.vehicles.block, run.given.signals
+    scenario, sample = run.given.scenario[slot], drive.sample - 1
     note(slot, run, row[: len(NOTED)])
     for j in range(STATE.yaw_rate + 1):
         row[FRAME.x + j] = block[state_at(j, slot)]
     row[FRAME.time], row[FRAME.command] = instant(k, run.settings.period), answer[COMMON.command]
-    row[FRAME.error] = own.error
+    row[FRAME.error] = drive.error
     row[FRAME.y_ref] = signals[scenario, SIGNAL.y_ref, sample]
     row[FRAME.v_ref] = signals[scenario, SIGNAL.speed, sample]
-    row[FRAME.speed] = own.speed
+    row[FRAME.speed] = drive.speed
     front = block[input_at(INPUT.friction_front_left, slot)] + block[input_at(INPUT.friction_front_right, slot)]
     rear = block[input_at(INPUT.friction_rear_left, slot)] + block[input_at(INPUT.friction_rear_right, slot)]
     row[FRAME.friction] = 0.25 * (front + rear)
@@ -66,30 +66,30 @@ def _write_numbers(k, slot, run, answer, row):
     yaw = row[FRAME.yaw]
     row[FRAME.wind] = wind_y * cos(yaw) - wind_x * sin(yaw)
     row[FRAME.guard] = _guarded(slot, run)
-    behind, said = row[len(FRAME) :], answer.size - 1
-    for j in range(said):
+    behind, n_answers = row[len(FRAME) :], answer.size - 1
+    for j in range(n_answers):
         behind[j] = answer[1 + j]
-    for j in range(behind.size - said):
-        behind[said + j] = run.tuning[slot, j]
+    for j in range(behind.size - n_answers):
+        behind[n_answers + j] = run.tuning[slot, j]
 
 
 @inlined
 def _write_path(k, slot, run, points):
     """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
-    own, given, model = run.memory.own[slot], run.given, run.mpc
-    scenario = given.scenario[slot]
+    drive, inputs, model = run.memory.own[slot], run.given, run.mpc
+    scenario = inputs.scenario[slot]
     horizon, most = whole(model.answer[slot, mpc.ANSWER.Np]), points.size // 2
     offsets = points[most : most + horizon]
     predict_outputs(slot, model, offsets)
-    road = given.roads.of[scenario]
+    road = inputs.roads.of[scenario]
     if road >= 0 and model.settings.curved > 0:
         for j in range(horizon):
             offsets[j] -= model.bend[j + 1]
-    station = own.station if road >= 0 else run.vehicles.block[state_at(STATE.x, slot)]
-    speed = max(own.speed, model.settings.speed_floor)
+    station = drive.station if road >= 0 else run.vehicles.block[state_at(STATE.x, slot)]
+    speed = max(drive.speed, model.settings.speed_floor)
     points_ahead(
-        station, given.signals[scenario, SIGNAL.speed, k:], speed, mpc.delay_of(slot, model), model.settings.period,
-        line_of(road, given.roads), offsets, points,
+        station, inputs.signals[scenario, SIGNAL.speed, k:], speed, mpc.delay_of(slot, model), model.settings.period,
+        line_of(road, inputs.roads), offsets, points,
     )  # fmt: skip
     for j in range(2 * horizon, points.size):
         points[j] = math.nan
@@ -116,13 +116,13 @@ def drive_and_show(count, span, run, numbers, predicted, moves):
     those for the road included. Both are NaN behind the horizons, of control laws, and where a step found no solution.
     No row is written of the instant at which a run fails.
     """
-    driven = 0
-    while driven < count and control_all(span, run) > 0:
+    periods = 0
+    while periods < count and control_all(span, run) > 0:
         k = run.memory.own[0].instant - 1
         answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
-        _write_numbers(k, 0, run, answer, numbers[driven])
-        _write_plan(k, 0, run, predicted[driven], moves[driven])
+        _write_numbers(k, 0, run, answer, numbers[periods])
+        _write_plan(k, 0, run, predicted[periods], moves[periods])
         move(span.slots, run)
-        driven += 1
+        periods += 1
     close_all(span, run)
-    return driven
+    return periods

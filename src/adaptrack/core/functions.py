@@ -64,18 +64,18 @@ def network(x, integers, numbers, neurons):
     net = _network(integers, numbers)
     for i in range(net.inputs):
         neurons[i] = (x[i] - net.low[i]) * net.inverse_span[i]
-    wide, before, at = net.inputs, 0, 0
+    width, before, at = net.inputs, 0, 0
     out = 0.0
     for layer in range(net.layers):
-        next_wide, after = net.widths[layer], before + wide
+        next_wide, after = net.widths[layer], before + width
         for j in range(next_wide):
-            out = net.neurons[at + wide]
-            for i in range(wide):
+            out = net.neurons[at + width]
+            for i in range(width):
                 out += net.neurons[at + i] * neurons[before + i]
-            at += wide + 1
+            at += width + 1
             if layer < net.layers - 1:
                 neurons[after + j] = 1.0 / (1.0 + exp(min(-out, SATURATED)))
-        wide, before = next_wide, after
+        width, before = next_wide, after
     if net.relu:
         out = max(0.0, out)
     return net.out_low + net.out_span * out

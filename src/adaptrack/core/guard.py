@@ -72,30 +72,30 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
 
 
 @inlined
-def _take_fallback(guard, own, tuning):
-    own.fallback += 1
+def _take_fallback(guard, memory, tuning):
+    memory.fallback += 1
     for s in range(4):
         tuning[s] = guard.fallback[s]
 
 
 @inlined
-def _limit_change(guard, own, tuning):
+def _limit_change(guard, memory, tuning):
     """Limit the change since the last tuning. R/Q moves by R alone: Q is taken as scheduled."""
     limited = False
     for s in range(2):
-        bounded = clip(tuning[s], own.last[s] - guard.rates[s], own.last[s] + guard.rates[s])
+        bounded = clip(tuning[s], memory.last[s] - guard.rates[s], memory.last[s] + guard.rates[s])
         limited = limited or bounded != tuning[s]
         tuning[s] = floor(bounded + 0.5)
     tuning[NC] = min(tuning[NC], tuning[NP])
-    if tuning[Q] > 0.0 and own.last[Q] > 0.0:
+    if tuning[Q] > 0.0 and memory.last[Q] > 0.0:
         factor = power(10.0, guard.ratio_rate)
-        last, ratio = own.last[R] / own.last[Q], tuning[R] / tuning[Q]
+        last, ratio = memory.last[R] / memory.last[Q], tuning[R] / tuning[Q]
         bounded = clip(ratio, last / factor, last * factor)
         if bounded != ratio:
             limited = True
             tuning[R] = bounded * tuning[Q]
     if limited:
-        own.rate_limited += 1
+        memory.rate_limited += 1
 
 
 @inlined
@@ -111,7 +111,7 @@ def _give_way(share, fallback, tuning):
 
 @exported(
     void(vector, vector, boolean, Row(GUARD), Row(MEMORY), int_vector, vector, vector))  # fmt: skip
-def supervise(variables, tuning, untrusted, guard, own, integers, numbers, scratch):
+def supervise(variables, tuning, untrusted, guard, memory, integers, numbers, scratch):
     """Replace a tuning (4,) of the MPC by what may be trusted.
 
     If an input is `untrusted` (far outside the domain, or no number) or the tracking error too large, the fallback is
@@ -125,22 +125,22 @@ def supervise(variables, tuning, untrusted, guard, own, integers, numbers, scrat
         abs(variables[VARIABLES.offset]) <= guard.offset_limit * variables[VARIABLES.friction]
     )
     if untrusted:
-        own.outside += 1
+        memory.outside += 1
     if off_reference:
-        own.off_reference += 1
+        memory.off_reference += 1
     if untrusted or off_reference:
-        own.left = guard.hold
-    if own.left > 0:
-        own.left -= 1
-        _take_fallback(guard, own, tuning)
+        memory.left = guard.hold
+    if memory.left > 0:
+        memory.left -= 1
+        _take_fallback(guard, memory, tuning)
         return
-    if own.holding == 1:
-        _limit_change(guard, own, tuning)
+    if memory.holding == 1:
+        _limit_change(guard, memory, tuning)
     point, work = scratch[:MAP_AXES], scratch[MAP_AXES:]
     if too_near_instability(variables, tuning, guard, integers, numbers, point, work):
-        own.unstable += 1
+        memory.unstable += 1
         for k in range(STAGES):
             _give_way(1.0 / (STAGES - k), guard.fallback, tuning)
             if not too_near_instability(variables, tuning, guard, integers, numbers, point, work):
                 return
-        _take_fallback(guard, own, tuning)
+        _take_fallback(guard, memory, tuning)

@@ -104,10 +104,10 @@ def _move_wheels(angle, target, lag, rate, span):
         gap -= step
         span -= limited
         begun = limited
-    kept = exp(-span / lag)
-    rest = target * span - gap * lag * (1.0 - kept)
-    moment += begun * rest + 0.5 * target * span * span - gap * lag * (lag * (1.0 - kept) - span * kept)
-    return target - gap * kept, area + rest, moment
+    decay = exp(-span / lag)
+    steady = target * span - gap * lag * (1.0 - decay)
+    moment += begun * steady + 0.5 * target * span * span - gap * lag * (lag * (1.0 - decay) - span * decay)
+    return target - gap * decay, area + steady, moment
 
 
 @inlined
@@ -191,10 +191,10 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     apply(s1, constant, by_constant)
     apply(s2, ramp, by_ramp)
     apply(s1, air, by_air)
-    f, kept, moved = _transition(), _vector(), _vector()
+    f, previous, moved = _transition(), _vector(), _vector()
     kept_w, kept_g, kept_d = exp(-h / q.wind_rise), exp(-h / q.wind_time), exp(-h / q.push_time)
-    apart = max(q.wind_time - q.wind_rise, 1e-4 * q.wind_time)
-    rise = (kept_g - kept_w) * q.wind_time / apart
+    time_difference = max(q.wind_time - q.wind_rise, 1e-4 * q.wind_time)
+    rise = (kept_g - kept_w) * q.wind_time / time_difference
     for i in range(_CAR):
         for j in range(_CAR):
             f[i, j] = s0[i, j]
@@ -206,14 +206,14 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     f[STATE.yaw, STATE.yaw_rate] += 0.5 * h
     f[STATE.yaw, STATE.yaw], moved[STATE.yaw] = 1.0, 0.5 * h * moved[STATE.yaw_rate]
     f[STATE.wind, STATE.wind], f[STATE.wind, STATE.gust] = kept_w, rise
-    kept[STATE.gust], kept[STATE.push] = kept_g, kept_d
+    previous[STATE.gust], previous[STATE.push] = kept_g, kept_d
 
     for i in range(_MIXED):
         for j in range(_N):
             moved[i] += f[i, j] * x[j]
     for i in range(_N):
-        x[i] = moved[i] if i < _MIXED else kept[i] * x[i]
-    carry(f, kept, p, _transition())
+        x[i] = moved[i] if i < _MIXED else previous[i] * x[i]
+    carry(f, previous, p, _transition())
     # stationary covariance calm [[1, 1], [1, both]], less what is left of it
     calm, both = square(q.wind_spread * gusts), 1.0 + q.wind_rise / q.wind_time
     p[STATE.wind, STATE.wind] += calm * (1.0 - kept_w * kept_w - rise * (2.0 * kept_w + both * rise))
@@ -309,19 +309,19 @@ def innovations(quantities, log, answer):
     """
     q, x, p = _quantities_of(quantities, 0), _vector(), _covariance()
     samples, acting, angle = log.shape[1], 0, 0.0
-    acting_here, here = 0, 0.0  # of the wheels as their sensor has them
+    acting_here, wheels_now = 0, 0.0  # of the wheels as their sensor has them
     measured_angle = q.lag <= 0.0
     for k in range(samples):
         for i in range(answer.shape[0]):
             answer[i, k] = math.nan
-        now = log[ROW.time, k]
+        time = log[ROW.time, k]
         if log[ROW.begins, k] > 0.0:
             _start(q, k, log, x, p)
             acting = acting_here = k
-            angle = here = q.gain * log[ROW.command, k] + q.offset
+            angle = wheels_now = q.gain * log[ROW.command, k] + q.offset
         else:
             before = log[ROW.time, k - 1]
-            span = now - before
+            span = time - before
             steps = max(1, whole(ceil(span / LONGEST_STEP - 1e-9)))
             h = span / steps
             for step in range(steps):
@@ -335,17 +335,17 @@ def innovations(quantities, log, answer):
                 speed = log[ROW.speed, k - 1] + share * (log[ROW.speed, k] - log[ROW.speed, k - 1])
                 _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p)
             if measured_angle:
-                here = q.gain * log[ROW.command, k] + q.offset
+                wheels_now = q.gain * log[ROW.command, k] + q.offset
             elif q.lateness == 0.0:
-                acting_here, here = acting, angle
+                acting_here, wheels_now = acting, angle
             else:
-                acting_here, here, _, _ = _steer(q, log, acting_here, here, q.dead_time, before, span)
+                acting_here, wheels_now, _, _ = _steer(q, log, acting_here, wheels_now, q.dead_time, before, span)
         _compare(q, k, log, angle, x, p, answer)
-        found = 2 * len(OUTPUT)
-        answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[STATE.wind], here
-        answer[found + FOUND.front_slip, k] = x[STATE.slip_front]
-        answer[found + FOUND.rear_slip, k] = x[STATE.slip_rear]
+        count = 2 * len(OUTPUT)
+        answer[count + FOUND.wind, k], answer[count + FOUND.wheel_angle, k] = x[STATE.wind], wheels_now
+        answer[count + FOUND.front_slip, k] = x[STATE.slip_front]
+        answer[count + FOUND.rear_slip, k] = x[STATE.slip_rear]
         measured = log[ROW.wheel, k]
         if measured == measured:
-            answer[OUTPUT.wheel, k] = measured - here - q.wheel_offset
+            answer[OUTPUT.wheel, k] = measured - wheels_now - q.wheel_offset
             answer[len(OUTPUT) + OUTPUT.wheel, k] = square(q.noise_wheel) + FLOOR

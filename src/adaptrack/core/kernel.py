@@ -106,15 +106,15 @@ class Signature:
     @cached_property
     def types(self) -> tuple[Any, ...]:
         """Of the arguments; a record in a signature is handed over whole, in C by a pointer."""
-        return tuple(Place(each) if hasattr(each, "kinds") else each for each in self.arguments)
+        return tuple(Place(kind) if hasattr(kind, "kinds") else kind for kind in self.arguments)
 
     @property
     def prototype(self) -> Any:
         """The type of the C function."""  # not kept: it cannot be pickled, and ctypes has each only once
-        taken = [kind for each in self.types for kind in each.ctypes]
+        parameters = [kind for ctype in self.types for kind in ctype.ctypes]
         if len(self.returns) > 1:
-            return ctypes.CFUNCTYPE(None, *taken, ctypes.c_void_p)
-        return ctypes.CFUNCTYPE(None if self.returns == (void,) else self.returns[0].ctypes[0], *taken)
+            return ctypes.CFUNCTYPE(None, *parameters, ctypes.c_void_p)
+        return ctypes.CFUNCTYPE(None if self.returns == (void,) else self.returns[0].ctypes[0], *parameters)
 
 
 def several(*kinds: Number) -> Callable[..., Signature]:
@@ -128,20 +128,22 @@ int_vector, int_matrix = (Array(int64, ndim) for ndim in (1, 2))
 
 
 # -- records ----------------------------------------------------------------------------------------------------------
-def record(name: str, fields: Iterable[str | tuple[str, Any]], whole: Iterable[str] = ()) -> Any:
+def record(name: str, fields: Iterable[str | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
     """A record: a named tuple class whose `kinds` are the types of its fields.
 
     A field is a name alone, of a number (float64; int64 if the name is in `whole`), or a name with its type: a number,
     an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a row of an array:
     it has a `dtype` and `new`, and `rows` is the type of an array of it.
     """
-    given = [(each, int64 if each in whole else float64) if isinstance(each, str) else each for each in fields]
+    typed_fields = [
+        (field, int64 if field in integers else float64) if isinstance(field, str) else field for field in fields
+    ]
     # It belongs to the module that asks for it: pickled, it is found again by module and name.
     module = sys._getframe(1).f_globals["__name__"]
-    made = cast(Any, namedtuple)(name, [each for each, _ in given], module=module)
-    made.kinds, made.new = dict(given), cast(Any, classmethod)(_new)
-    made.dtype = _dtype(made.kinds)
-    return made
+    record_type = cast(Any, namedtuple)(name, [field for field, _ in typed_fields], module=module)
+    record_type.kinds, record_type.new = dict(typed_fields), cast(Any, classmethod)(_new)
+    record_type.dtype = _dtype(record_type.kinds)
+    return record_type
 
 
 def rows(kind: Any) -> Array:
@@ -166,10 +168,10 @@ def _new(kind: Any, count: int = 1, **values: Any) -> Any:
 
     Raises ValueError for a name that is no field.
     """
-    made = np.zeros(count, kind.dtype)
+    entries = np.zeros(count, kind.dtype)
     for name, value in values.items():
-        made[name] = value
-    return made
+        entries[name] = value
+    return entries
 
 
 def columns(*names: str) -> Any:
@@ -194,17 +196,17 @@ def viewer(kind: Any) -> Any:
     return _known("view", lambda vector, place: vector[place : place + size_of(kind)].view(kind.dtype)[0], kind)
 
 
-def unpacker(kind: Any, apart: int = 1) -> Any:
+def unpacker(kind: Any, stride: int = 1) -> Any:
     """An inlined function ``unpack(p, first=0)``: the record whose entries lie in a vector from a place on, so many
     apart.
     """
-    entries = ", ".join(f"p[{at}]" for at in _entries(kind, apart))
+    entries = ", ".join(f"p[{at}]" for at in _entries(kind, stride))
     return _written(f"def written(p, first=0):\n    return kind({entries})", kind)
 
 
-def packer(kind: Any, apart: int = 1) -> Any:
+def packer(kind: Any, stride: int = 1) -> Any:
     """An inlined function ``pack(p, first, value)``: writes a record where `unpacker`'s reads it."""
-    lines = [f"    p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, apart), strict=True)]
+    lines = [f"    p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, stride), strict=True)]
     return _written("\n".join(["def written(p, first, value):", *lines]), kind)
 
 
@@ -214,8 +216,8 @@ def stepper(kind: Any) -> Any:
     return _written(f"def written(x, h, slope):\n    return kind({entries})", kind)
 
 
-def _entries(kind: Any, apart: int) -> list[str]:
-    return [f"{apart * i} + first" for i in range(len(kind._fields))]
+def _entries(kind: Any, stride: int) -> list[str]:
+    return [f"{stride * i} + first" for i in range(len(kind._fields))]
 
 
 def _written(text: str, kind: Any) -> Any:
@@ -289,10 +291,10 @@ class Exported(Known):
     @cached_property
     def address(self) -> int:
         """Where it begins, for the life of the process."""
-        found = library.find(self.name)
-        if found is None:
-            found = int(library.compiler().compiled_now(self))
-        return found
+        address = library.find(self.name)
+        if address is None:
+            address = int(library.compiler().compiled_now(self))
+        return address
 
     @cached_property
     def call(self) -> Any:
@@ -355,10 +357,10 @@ def exported(signature: Signature, name: str | None = None) -> Callable[[Any], A
     def decorate(function: Any) -> Any:
         if INTERPRETED:
             return function
-        made = Exported(function, name or function.__name__, signature)
-        if EXPORTED.setdefault(made.name, made) is not made:
-            raise ValueError(f"{made.name}: two kernels have this name.")
-        return made
+        kernel = Exported(function, name or function.__name__, signature)
+        if EXPORTED.setdefault(kernel.name, kernel) is not kernel:
+            raise ValueError(f"{kernel.name}: two kernels have this name.")
+        return kernel
 
     return decorate
 

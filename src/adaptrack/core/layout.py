@@ -35,8 +35,8 @@ def put(table, row, a, b=0, c=0, d=0):
 
 def arrays_of(kind: Any) -> int:
     """How many arrays a record has, those of records within it included."""
-    each = kind.kinds.values()
-    return sum(1 if isinstance(k, Array) else 0 if isinstance(k, Number) else arrays_of(k) for k in each)
+    kinds = kind.kinds.values()
+    return sum(1 if isinstance(k, Array) else 0 if isinstance(k, Number) else arrays_of(k) for k in kinds)
 
 
 def room(kind: Any, sizes: Any, *counts: Any) -> Any:
@@ -49,11 +49,11 @@ def room(kind: Any, sizes: Any, *counts: Any) -> Any:
 
 def _laid(kind: Any, sizes: Iterator[list[int]]) -> Any:
     values: list[Any] = []
-    for each in kind.kinds.values():
-        if isinstance(each, Array):
-            values.append(aligned(tuple(next(sizes)[: each.ndim]), each.dtype))
+    for field_kind in kind.kinds.values():
+        if isinstance(field_kind, Array):
+            values.append(aligned(tuple(next(sizes)[: field_kind.ndim]), field_kind.dtype))
         else:
-            values.append(0 if isinstance(each, Number) else _laid(each, sizes))
+            values.append(0 if isinstance(field_kind, Number) else _laid(field_kind, sizes))
     return kind(*values)
 
 

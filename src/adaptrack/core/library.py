@@ -51,8 +51,8 @@ def source_hashes() -> dict[str, str]:
 @cache
 def kernels_hash() -> str:
     """What the numbers of all kernels depend on, their sources and the builder's, as 16 hexadecimal digits."""
-    found = hashlib.sha256(json.dumps(source_hashes(), sort_keys=True).encode()).hexdigest()[:16]
-    return f"{found} (interpreted)" if WAY == "interpreted" else found
+    digest = hashlib.sha256(json.dumps(source_hashes(), sort_keys=True).encode()).hexdigest()[:16]
+    return f"{digest} (interpreted)" if WAY == "interpreted" else digest
 
 
 def processor() -> str:
@@ -150,8 +150,8 @@ class Library:
         self.path = whole(built["libraries"][name])
         self.functions = ctypes.CDLL(str(self.path))
         self.kernels = built["kernels"]
-        then, now = built["sources"], source_hashes()
-        self.edited = {each for each in {*then, *now} if then.get(each) != now.get(each)}
+        then, current = built["sources"], source_hashes()
+        self.edited = {path for path in {*then, *current} if then.get(path) != current.get(path)}
 
     def why_not(self, name: str) -> str:
         """Why a kernel of this library is not to be used; empty where it is."""
@@ -189,10 +189,10 @@ def find(name: str) -> int | None:
 
     Raises NoKernels where it is neither in the library nor can be compiled.
     """
-    found = loaded()
-    why = found if isinstance(found, str) else found.why_not(name)
-    if not why and isinstance(found, Library):
-        return found.address(name)
+    library = loaded()
+    why = library if isinstance(library, str) else library.why_not(name)
+    if not why and isinstance(library, Library):
+        return library.address(name)
     if not can_compile():
         raise NoKernels(f"{why}, and numba, which compiles kernels, is not installed. Run: {BUILD}")
     if WAY == "library":
@@ -202,9 +202,9 @@ def find(name: str) -> int | None:
 
 def description() -> str:
     """How kernels are run, and why: the line of ``adaptrack --version``."""
-    found = loaded()
-    if isinstance(found, Library):
-        edited = f"; compiled now, as edited since: {', '.join(sorted(found.edited))}" if found.edited else ""
-        return f"kernels {kernels_hash()}: library {found.path}{edited}"
-    how = "as plain Python" if WAY == "interpreted" else "compiled at run time"
-    return f"kernels {kernels_hash()}: {how}: {found}"
+    library = loaded()
+    if isinstance(library, Library):
+        edited = f"; compiled now, as edited since: {', '.join(sorted(library.edited))}" if library.edited else ""
+        return f"kernels {kernels_hash()}: library {library.path}{edited}"
+    fallback = "as plain Python" if WAY == "interpreted" else "compiled at run time"
+    return f"kernels {kernels_hash()}: {fallback}: {library}"

@@ -43,7 +43,7 @@ Settings = record(
         "failure_distance",  # m, a run has failed when |Y - y_ref| exceeds this after it has once been within
         "failure_sideslip",  # rad, or the sideslip angle this
     ),
-    whole=("substeps", "prescribed_speed", "dead_whole"),
+    integers=("substeps", "prescribed_speed", "dead_whole"),
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
 
@@ -66,7 +66,7 @@ OWN = record(
         "located",  # 1 once the foot is known
         "place",  # the instant at which the plan is where the car is
     ),
-    whole=("instant", "sample", "arrived", "ended", "located", "place"),
+    integers=("instant", "sample", "arrived", "ended", "located", "place"),
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
@@ -99,27 +99,27 @@ most."""
 @inlined
 def locate(slot, run):
     """Find the car on its road: offset and heading error against the path, the foot and the place in the plan."""
-    own, block = run.memory.own[slot], run.vehicles.block
+    drive, block = run.memory.own[slot], run.vehicles.block
     signals, scenario = run.given.signals, run.given.scenario[slot]
     road = run.given.roads.of[scenario]
     x, y, yaw = block[state_at(STATE.x, slot)], block[state_at(STATE.y, slot)], block[state_at(STATE.yaw, slot)]
     if road < 0:
-        own.offset, own.heading_error = y, yaw
+        drive.offset, drive.heading_error = y, yaw
         return
     near = signals[scenario, SIGNAL.station, 0]
-    if own.located > 0:
-        near = own.station + block[state_at(STATE.vx, slot)] * run.settings.period
+    if drive.located > 0:
+        near = drive.station + block[state_at(STATE.vx, slot)] * run.settings.period
     station, offset, heading, _ = foot_near(x, y, near, line_of(road, run.given.roads))
-    own.turned = heading - own.heading if own.located > 0 else 0.0
-    own.station, own.offset, own.heading, own.located = station, offset, heading, 1
+    drive.turned = heading - drive.heading if drive.located > 0 else 0.0
+    drive.station, drive.offset, drive.heading, drive.located = station, offset, heading, 1
     turns = (yaw - heading) / (2.0 * math.pi)
-    own.heading_error = 2.0 * math.pi * (turns - floor(turns + 0.5))
+    drive.heading_error = 2.0 * math.pi * (turns - floor(turns + 0.5))
     _, _, samples = signals.shape
     last = samples - 1
-    while own.place < last and signals[scenario, SIGNAL.station, own.place + 1] <= station:
-        own.place += 1
-    while own.place > 0 and signals[scenario, SIGNAL.station, own.place] > station:
-        own.place -= 1
+    while drive.place < last and signals[scenario, SIGNAL.station, drive.place + 1] <= station:
+        drive.place += 1
+    while drive.place > 0 and signals[scenario, SIGNAL.station, drive.place] > station:
+        drive.place -= 1
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
@@ -130,10 +130,10 @@ def judge(slot, run):
     Not finite: a state. Spun: a sideslip angle |atan2(v_y, v_x)| beyond the limit at 1 m/s or more. Off the road:
     the error against the reference beyond the distance, once the vehicle has arrived within it.
     """
-    own, block, world = run.memory.own[slot], run.vehicles.block, run.settings
-    within = abs(own.error) <= world.failure_distance
+    drive, block, world = run.memory.own[slot], run.vehicles.block, run.settings
+    within = abs(drive.error) <= world.failure_distance
     if within:
-        own.arrived = 1
+        drive.arrived = 1
     for row in range(STATE.yaw_rate + 1):
         if not math.isfinite(block[state_at(row, slot)]):
             return NOT_FINITE
@@ -142,7 +142,7 @@ def judge(slot, run):
     vx, vy = block[state_at(STATE.vx, slot)], block[state_at(STATE.vy, slot)]
     if hypot(vx, vy) >= SLOW and abs(atan2(vy, vx)) > world.failure_sideslip:
         return SPUN
-    if own.arrived > 0 and not within:
+    if drive.arrived > 0 and not within:
         return OFF_ROAD
     return RUNNING
 
@@ -200,36 +200,36 @@ def _make_late(k, world, seed, past, measured):
 
 
 @inlined
-def _leave_out(k, world, seed, own, measured):
+def _leave_out(k, world, seed, drive, measured):
     """Samples that are missing, one by one or, of the pose, for a while."""
-    now = k * world.period
+    time = k * world.period
     if world.missing > 0.0:
         for sensor in range(SENSED):
             if counted_uniform(seed, _MISSING, k, sensor, 0) < world.missing:
                 measured[sensor] = math.nan
     if world.dropout_pause > 0.0:
         drawn = counted_uniform(seed, _DROPOUT, k, 0, 0) * world.dropout_pause
-        if now >= own.blind_until and drawn < world.period:
+        if time >= drive.blind_until and drawn < world.period:
             span = world.dropout_most - world.dropout_least
-            own.blind_until = now + world.dropout_least + span * counted_uniform(seed, _LENGTH, k, 0, 0)
-        if now < own.blind_until:
+            drive.blind_until = time + world.dropout_least + span * counted_uniform(seed, _LENGTH, k, 0, 0)
+        if time < drive.blind_until:
             measured[MEASURED.yaw], measured[MEASURED.y] = math.nan, math.nan
 
 
 @inlined
 def sense(slot, run):
     """Write what the sensors of a slot's vehicle give, see `models.contract.MEASURED`, and the measured speed."""
-    own, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
-    k, seed = own.instant, run.given.seeds[slot]
+    drive, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
+    k, seed = drive.instant, run.given.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
         observed = _observed()
         observe(slot, run.vehicles, observed)
         measured[MEASURED.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
     measured[MEASURED.vy] = block[state_at(STATE.vy, slot)]
-    measured[MEASURED.yaw] = own.heading_error
+    measured[MEASURED.yaw] = drive.heading_error
     measured[MEASURED.yaw_rate] = block[state_at(STATE.yaw_rate, slot)]
-    measured[MEASURED.y] = own.offset
-    measured[MEASURED.turned] = own.turned
+    measured[MEASURED.y] = drive.offset
+    measured[MEASURED.turned] = drive.turned
     measured[MEASURED.wheel_angle] = wheel_angle(
         block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
         world.steering_lag, world.steering_limit,
@@ -247,18 +247,23 @@ def sense(slot, run):
         measured[MEASURED.yaw_rate] += _either(world.bias_yaw_rate, seed, _BIAS, MEASURED.yaw_rate)
     if world.bias_wheel_angle > 0.0:
         measured[MEASURED.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASURED.wheel_angle)
-    _leave_out(k, world, seed, own, measured)
+    _leave_out(k, world, seed, drive, measured)
     speed = block[state_at(STATE.vx, slot)]
-    own.speed = speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
+    drive.speed = speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
 
 
 @inlined
 def look(slot, measured, run):
     """Write the scheduling variables (`VARIABLES`) of a slot; measured: see `sense`."""
-    own, signals, scenario, variables = run.memory.own[slot], run.given.signals, run.given.scenario[slot], run.variables
-    k = own.sample
+    drive, signals, scenario, variables = (
+        run.memory.own[slot],
+        run.given.signals,
+        run.given.scenario[slot],
+        run.variables,
+    )
+    k = drive.sample
     y_ref = signals[scenario, SIGNAL.y_ref, k]
-    variables[VARIABLES.speed] = own.speed
+    variables[VARIABLES.speed] = drive.speed
     variables[VARIABLES.y_ref] = y_ref
     variables[VARIABLES.friction] = signals[scenario, SIGNAL.known_friction, k]
     variables[VARIABLES.wind] = signals[scenario, SIGNAL.known_wind, k]
@@ -269,7 +274,7 @@ def look(slot, measured, run):
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------
 @inlined
-def _drive(k, speed, signals, scenario, settings, own):
+def _drive(k, speed, signals, scenario, settings, drive):
     """Longitudinal force (N) of the driver: aims at the profile's speed a preview time ahead, with an integral.
 
     dv = (v_ref(t + T_p) - v_x)/T_p + K_i * integral of (v_ref - v_x); limited by engine power, traction and brakes,
@@ -280,15 +285,17 @@ def _drive(k, speed, signals, scenario, settings, own):
     ahead = settings.driver_preview / settings.period
     j = min(k + whole(ahead), last)
     part = ahead - floor(ahead)
-    near, far = signals[scenario, SIGNAL.speed, j], signals[scenario, SIGNAL.speed, min(j + 1, last)]
-    target = near + part * (far - near)
-    if own.located > 0:
-        target += _catch_up(target, signals[scenario, SIGNAL.station, k] - own.station)
-    wanted = settings.mass * ((target - speed) / settings.driver_preview + settings.driver_integral * own.integral)
+    near, following = signals[scenario, SIGNAL.speed, j], signals[scenario, SIGNAL.speed, min(j + 1, last)]
+    target = near + part * (following - near)
+    if drive.located > 0:
+        target += _catch_up(target, signals[scenario, SIGNAL.station, k] - drive.station)
+    driving_force = settings.mass * (
+        (target - speed) / settings.driver_preview + settings.driver_integral * drive.integral
+    )
     strongest = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
-    force = clip(wanted, -settings.brake_limit, strongest)
-    if force == wanted:
-        own.integral += (signals[scenario, SIGNAL.speed, k] - speed) * settings.period
+    force = clip(driving_force, -settings.brake_limit, strongest)
+    if force == driving_force:
+        drive.integral += (signals[scenario, SIGNAL.speed, k] - speed) * settings.period
     return force
 
 
@@ -314,22 +321,22 @@ def actuate(slot, command, run):
 
     command: the controller's new one (rad); with a dead time, one before acts.
     """
-    own, block, world = run.memory.own[slot], run.vehicles.block, run.settings
-    signals, scenario, k = run.given.signals, run.given.scenario[slot], own.sample
+    drive, block, world = run.memory.own[slot], run.vehicles.block, run.settings
+    signals, scenario, k = run.given.signals, run.given.scenario[slot], drive.sample
     vx = block[state_at(STATE.vx, slot)]
     block[input_at(INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
-    own.command = command
+    drive.command = command
     if world.prescribed_speed > 0:
         _, _, samples = signals.shape
         following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
-        if own.located > 0:
-            following += _catch_up(following, signals[scenario, SIGNAL.station, k] - own.station)
+        if drive.located > 0:
+            following += _catch_up(following, signals[scenario, SIGNAL.station, k] - drive.station)
         block[input_at(INPUT.force, slot)] = 0.0
         block[input_at(INPUT.acceleration, slot)] = (following - vx) / world.period
     else:
-        block[input_at(INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, own)
+        block[input_at(INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, drive)
         block[input_at(INPUT.acceleration, slot)] = math.nan
-    place = own.place if own.located > 0 else k
+    place = drive.place if drive.located > 0 else k
     for j in range(ENVIRONMENT):
         block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, place]
 
@@ -372,9 +379,9 @@ def instants_back(oldest, period):
 @inlined
 def forget(slot, memory):
     """Back to before the first instant."""
-    own = memory.own[slot]
-    own.instant, own.sample, own.arrived, own.ended = 0, 0, 0, RUNNING
-    own.command, own.integral, own.ended_at = 0.0, 0.0, 0.0
-    own.station, own.turned, own.located, own.place, own.blind_until, own.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
+    drive = memory.own[slot]
+    drive.instant, drive.sample, drive.arrived, drive.ended = 0, 0, 0, RUNNING
+    drive.command, drive.integral, drive.ended_at = 0.0, 0.0, 0.0
+    drive.station, drive.turned, drive.located, drive.place, drive.blind_until, drive.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
     memory.sent[slot, :] = 0.0
     memory.past[slot, :, :] = 0.0

@@ -94,14 +94,14 @@ def member(function: Any, signature: Signature, viewed: Any = None) -> Any:
         if isinstance(function, CFunction):
             raise TypeError("interpreted kernels cannot call C: unset ADAPTRACK_KERNELS.")
         return function if viewed is None else on_a_record(function, viewed)
-    made = Member(function, signature, viewed)
-    made.address  # noqa: B018  (what is wrong with it is said where it is given)
-    return made
+    new_member = Member(function, signature, viewed)
+    new_member.address  # noqa: B018  (what is wrong with it is said where it is given)
+    return new_member
 
 
 def on_a_record(function: Any, viewed: Any) -> Any:
     """A function of arrays around one that takes its last array but one as a record."""
-    return lambda *given: function(*given[:-2], given[-2].view(viewed)[0], given[-1])
+    return lambda *arguments: function(*arguments[:-2], arguments[-2].view(viewed)[0], arguments[-1])
 
 
 def _called_back(member: Member) -> Any:
@@ -110,23 +110,23 @@ def _called_back(member: Member) -> Any:
     kinds = member.signature.types
     last = max(i for i, kind in enumerate(kinds) if isinstance(kind, Array))
     nothing = member.signature.returns == (void,)
-    said = False
+    warned = False
 
     def call(*words: Any) -> Any:
-        nonlocal said
-        given: list[Any] = []
+        nonlocal warned
+        arguments: list[Any] = []
         try:
-            given += _values(kinds, iter(words))
-            answer = function(*given)
+            arguments += _values(kinds, iter(words))
+            answer = function(*arguments)
             return None if nothing else float(answer or 0.0)
         except KeyboardInterrupt:  # heard again when the kernel has returned
             threading.Timer(0.01, _thread.interrupt_main).start()
         except Exception as error:
-            if not said:
+            if not warned:
                 logging.getLogger("adaptrack").warning("adaptrack: %s raised %r", member.name, error)
-            said = True
-        if len(given) > last:
-            given[last][...] = math.nan
+            warned = True
+        if len(arguments) > last:
+            arguments[last][...] = math.nan
         return None if nothing else math.nan
 
     return call

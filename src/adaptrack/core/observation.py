@@ -47,9 +47,9 @@ def write_observation(slot, measured, run, space, row):
 
     The row holds the observation of the instant before, zeros at the first one.
     """
-    own, scenario, period = run.memory.own[slot], run.given.scenario[slot], run.settings.period
+    drive, scenario, period = run.memory.own[slot], run.given.scenario[slot], run.settings.period
     references, road = run.given.signals[scenario, SIGNAL.y_ref], run.given.roads.of[scenario]
-    k, last = own.instant, references.size - 1
+    k, last = drive.instant, references.size - 1
     y_ref = references[k]
     posed = math.isfinite(measured[MEASURED.y]) and math.isfinite(measured[MEASURED.yaw])
     row[OBSERVATION.pose_age] = measured[MEASURED.pose_age] if posed else row[OBSERVATION.pose_age] + period
@@ -57,8 +57,8 @@ def write_observation(slot, measured, run, space, row):
     keep(measured[MEASURED.yaw], row, OBSERVATION.heading_error)
     keep(measured[MEASURED.yaw_rate], row, OBSERVATION.yaw_rate)
     keep(measured[MEASURED.wheel_angle], row, OBSERVATION.wheel_angle)
-    keep(own.speed, row, OBSERVATION.speed)
-    row[OBSERVATION.command] = own.command
+    keep(drive.speed, row, OBSERVATION.speed)
+    row[OBSERVATION.command] = drive.command
     count = space.distances.size
     for j in range(count):
         instant = k + space.distances[j] / (max(row[OBSERVATION.speed], SLOWEST) * period)
@@ -67,7 +67,7 @@ def write_observation(slot, measured, run, space, row):
         row[len(OBSERVATION) + j] = reference + (instant - floor(instant)) * (following - reference) - y_ref
         curvature = 0.0
         if road >= 0:
-            _, _, _, curvature = point_at(own.station + space.distances[j], line_of(road, run.given.roads))
+            _, _, _, curvature = point_at(drive.station + space.distances[j], line_of(road, run.given.roads))
         keep(curvature, row, len(OBSERVATION) + count + j)
     bounded(row, space)
 

@@ -93,7 +93,7 @@ def _lagrange(k):
     for other in _CHEBYSHEV[:k] + _CHEBYSHEV[k + 1 :]:
         product = [a - other * b for a, b in zip([0, *product], [*product, 0], strict=True)]
         scale *= _CHEBYSHEV[k] - other
-    return [each * _GRID**j / scale for j, each in enumerate(product)]
+    return [coefficient * _GRID**j / scale for j, coefficient in enumerate(product)]
 
 
 _BASIS = np.array([_lagrange(k) for k in range(NODES)])
@@ -233,13 +233,13 @@ def _condition(points, closed, lengths, k):
         (ax, ay), (bx, by) = _step(points, before), _step(points, k)
         below, above = 3.0 * g / h, 3.0 * h / g
         return g, 2.0 * (h + g), h, below * ax + above * bx, below * ay + above * by
-    near, far = (0, 1) if k == 0 else (last - 1, last - 2)
-    h, g = lengths[near], lengths[far]
-    (ax, ay), (bx, by) = _step(points, near), _step(points, far)
+    near, inner = (0, 1) if k == 0 else (last - 1, last - 2)
+    h, g = lengths[near], lengths[inner]
+    (ax, ay), (bx, by) = _step(points, near), _step(points, inner)
     both = h + g
     first, second = (h + 2.0 * both) * g / (both * h), h * h / (both * g)
-    beside = 0.0 if k == 0 else both
-    return beside, g, both - beside, first * ax + second * bx, first * ay + second * by
+    spacing = 0.0 if k == 0 else both
+    return spacing, g, both - spacing, first * ax + second * bx, first * ay + second * by
 
 
 @inlined
@@ -414,31 +414,31 @@ def _write_step(x, y, begin_x, begin_y, end_x, end_y, pieces, first):
     """
     x2, x3 = 3.0 * x - (2.0 * begin_x + end_x), begin_x + end_x - 2.0 * x
     y2, y3 = 3.0 * y - (2.0 * begin_y + end_y), begin_y + end_y - 2.0 * y
-    made, part, level, w = first, 0, 0, 0.5
+    count, part, level, w = first, 0, 0, 0.5
     while level > 0 or part == 0:
-        if made == len(pieces):
-            return TOO_SMALL, made
-        p, piece = (2 * part + 1) * w, pieces[made]
+        if count == len(pieces):
+            return TOO_SMALL, count
+        p, piece = (2 * part + 1) * w, pieces[count]
         fits = _write_piece(
             w * (begin_x + p * (2.0 * x2 + 3.0 * p * x3)), w * w * (x2 + 3.0 * p * x3), w * w * w * x3,
             w * (begin_y + p * (2.0 * y2 + 3.0 * p * y3)), w * w * (y2 + 3.0 * p * y3), w * w * w * y3, piece,
         )  # fmt: skip
         if not fits:
             if level == HALVINGS:
-                return KINK, made
+                return KINK, count
             part, level, w = 2 * part, level + 1, 0.5 * w
             continue
         piece[X] += p * (begin_x + p * (x2 + p * x3))
         piece[Y] += p * (begin_y + p * (y2 + p * y3))
-        if made > 0:
-            jump = _jump(pieces[made - 1], piece)
+        if count > 0:
+            jump = _jump(pieces[count - 1], piece)
             piece[HEADING] -= _turns(jump)
             if _kinked(jump):
-                return KINK, made
-        made, part = made + 1, part + 1
+                return KINK, count
+        count, part = count + 1, part + 1
         while level > 0 and part % 2 == 0:
             part, level, w = part // 2, level - 1, 2.0 * w
-    return OK, made
+    return OK, count
 
 
 @exported(void(vector, matrix, boolean, vector))
@@ -487,28 +487,28 @@ def path_through(points, closed, memory):
         return status, flaw
     _write_slopes(path_points, closed, lengths, upper, x, y, border)
     pieces = shaped(memory[len(NUMBERS) : len(NUMBERS) + COLUMNS * room], room, COLUMNS)
-    made = 0
+    n_written = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
         dx, dy = _step(path_points, k)
-        first = made
-        status, made = _write_step(dx, dy, h * x[k], h * y[k], h * x[after], h * y[after], pieces, first)
+        first = n_written
+        status, n_written = _write_step(dx, dy, h * x[k], h * y[k], h * x[after], h * y[after], pieces, first)
         if status != OK:
             return status, whole(path_points[k, 2])
-        for row in range(first, made):
+        for row in range(first, n_written):
             pieces[row, X], pieces[row, Y] = path_points[k, 0] + pieces[row, X], path_points[k, 1] + pieces[row, Y]
-    if closed and _kinked(_jump(pieces[made - 1], pieces[0])):
+    if closed and _kinked(_jump(pieces[n_written - 1], pieces[0])):
         return KINK, 0
-    start = memory[len(NUMBERS) + COLUMNS * made :]
+    start = memory[len(NUMBERS) + COLUMNS * n_written :]
     start[0] = 0.0
-    for row in range(made):
+    for row in range(n_written):
         start[row + 1] = start[row] + 2.0 * pieces[row, HALF]
-    cells = cells_of(start[made])
-    if words_of(made, cells) > memory.size:
+    cells = cells_of(start[n_written])
+    if words_of(n_written, cells) > memory.size:
         return TOO_SMALL, len(points) - 1
-    line_numbers(start[: made + 1], pieces[:made], closed, memory)
+    line_numbers(start[: n_written + 1], pieces[:n_written], closed, memory)
     memory[FIRST_START] = memory[FIRST_PIECE] = memory[FIRST_HEADING] = 0.0
-    memory[COUNT], memory[HEADING_SPACING] = made, start[made] / cells
+    memory[COUNT], memory[HEADING_SPACING] = n_written, start[n_written] / cells
     line, headings = line_in(memory)
     headings_along(line, headings)
-    return OK, made
+    return OK, n_written

@@ -61,7 +61,7 @@ FEATURES = (
     "traces",  # what happens at every instant is kept
     "law",  # a control law drives, not the MPC
 )
-Features = record("Features", FEATURES, whole=FEATURES)
+Features = record("Features", FEATURES, integers=FEATURES)
 """What a batch of runs does, 1 or 0."""
 
 RESULT = record(
@@ -79,7 +79,7 @@ RESULT = record(
         "limited",  # steps at some limit
         "iterations",  # of the QP solver, summed
     ),
-    whole=("instants", "ended", "capped", "unsolved", "held", "limited", "iterations"),
+    integers=("instants", "ended", "capped", "unsolved", "held", "limited", "iterations"),
 )
 """What is measured of each run."""
 
@@ -117,7 +117,7 @@ LOOP = (
 Loop = record("Loop", LOOP)
 """Runs around a controller. Kernels take it or a record that begins with the same fields, such as `rollout.Run`."""
 
-Span = record("Span", ("periods", "slots", "segment", "weight"), whole=("periods", "slots", "segment"))
+Span = record("Span", ("periods", "slots", "segment", "weight"), integers=("periods", "slots", "segment"))
 """What is driven: control periods, slots in use, periods of a segment (0: none is counted), and the weight of the
 squared moves in the cost (m^2/rad^2)."""
 
@@ -132,7 +132,7 @@ Counts = record(
         "segments",  # of each run
         "traced", "answers",  # instants and columns of a trace; 0: none
     ),
-    whole=(
+    integers=(
         "slots", "parameters", "states", "scenarios", "samples", "roads", "starts", "pieces", "headings", "perceiving",
         "perceiving_settings", "dead_whole", "past", "segments", "traced", "answers",
     ),
@@ -181,19 +181,19 @@ def no_trace() -> Any:
 
 def traces(slots: int, periods: int, answers: int) -> Any:
     """Traces before the first instant, NaN, with so many columns of answers."""
-    made = room(Trace, trace_sizes, slots, periods, answers)
-    for each in made:
-        each[:] = math.nan
-    return made
+    trace = room(Trace, trace_sizes, slots, periods, answers)
+    for array in trace:
+        array[:] = math.nan
+    return trace
 
 
 @inlined
 def begin_slot(slot, run):
     """Before the first instant: the vehicle at its start, nothing remembered, nothing counted."""
-    found, vehicles = run.result[slot], run.vehicles
-    found.squared_error, found.squared_move, found.largest_error, found.instants = 0.0, 0.0, 0.0, 0
-    found.ended, found.ended_at, found.capped, found.unsolved, found.held = RUNNING, 0.0, 0, 0, 0
-    found.limited, found.iterations = 0, 0
+    result, vehicles = run.result[slot], run.vehicles
+    result.squared_error, result.squared_move, result.largest_error, result.instants = 0.0, 0.0, 0.0, 0
+    result.ended, result.ended_at, result.capped, result.unsolved, result.held = RUNNING, 0.0, 0, 0, 0
+    result.limited, result.iterations = 0, 0
     place_one(slot, vehicles.start, vehicles.block, vehicles.states)
     for j in range(INPUTS):
         vehicles.block[input_at(j, slot)] = 0.0
@@ -208,11 +208,11 @@ def before_control(slot, span, run):
     A run that fails says so in `memory`; the instant at the end of the last period is not judged. Nothing is measured
     of a car whose state is not finite.
     """
-    own = run.memory.own[slot]
+    drive = run.memory.own[slot]
     locate(slot, run)
-    if own.instant < span.periods:
+    if drive.instant < span.periods:
         _judge_and_count(slot, span, run)
-    if own.ended == NOT_FINITE:
+    if drive.ended == NOT_FINITE:
         return
     sense(slot, run)
     if run.features.variables:
@@ -224,30 +224,30 @@ def before_control(slot, span, run):
 @inlined
 def _judge_and_count(slot, span, run):
     """Judge the run; count its error, unless it ends here."""
-    own, found, block = run.memory.own[slot], run.result[slot], run.vehicles.block
-    k = own.instant
-    own.error = own.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, own.sample]
-    own.ended = judge(slot, run)
+    drive, result, block = run.memory.own[slot], run.result[slot], run.vehicles.block
+    k = drive.instant
+    drive.error = drive.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, drive.sample]
+    drive.ended = judge(slot, run)
     if run.features.traces:
         for j in range(STATES):
             run.trace.state[slot, k, j] = block[state_at(j, slot)]
-    if own.ended != RUNNING:
-        own.ended_at = k * run.settings.period
+    if drive.ended != RUNNING:
+        drive.ended_at = k * run.settings.period
         return
-    squared = own.error * own.error
-    found.squared_error += squared
+    squared = drive.error * drive.error
+    result.squared_error += squared
     if span.segment > 0:
         run.segments[slot, k // span.segment] += squared
-    found.largest_error = max(found.largest_error, abs(own.error))
-    found.instants += 1
+    result.largest_error = max(result.largest_error, abs(drive.error))
+    result.instants += 1
 
 
 @inlined
 def _estimate_friction_and_wind(slot, run):
     """Let the scheduling variables have friction and wind as they are estimated."""
-    own, knowing = run.memory.own[slot], run.perceiving
+    drive, knowing = run.memory.own[slot], run.perceiving
     friction_wind.estimate(
-        slot, run.measured, own.speed, own.command, math.nan, knowing.parameters, knowing.settings, knowing.memory
+        slot, run.measured, drive.speed, drive.command, math.nan, knowing.parameters, knowing.settings, knowing.memory
     )
     run.variables[VARIABLES.friction] = knowing.memory[slot].friction
     run.variables[VARIABLES.wind] = knowing.memory[slot].wind
@@ -260,25 +260,25 @@ def after_control(slot, command, change, span, run):
 
     The run ends when its cost has reached its ceiling.
     """
-    own, found = run.memory.own[slot], run.result[slot]
+    drive, result = run.memory.own[slot], run.result[slot]
     actuate(slot, command, run)
     if run.features.traces:
-        note(slot, run, run.trace.noted[slot, own.instant])
-    found.squared_move += change * change
+        note(slot, run, run.trace.noted[slot, drive.instant])
+    result.squared_move += change * change
     if span.segment > 0:
-        run.segments[slot, own.instant // span.segment] += span.weight * change * change
-    if found.squared_error + span.weight * found.squared_move >= run.ceiling[slot]:
-        own.ended = STOPPED
-    own.instant += 1
-    own.sample += 1
+        run.segments[slot, drive.instant // span.segment] += span.weight * change * change
+    if result.squared_error + span.weight * result.squared_move >= run.ceiling[slot]:
+        drive.ended = STOPPED
+    drive.instant += 1
+    drive.sample += 1
 
 
 @inlined
 def note(slot, run, row):
     """Write NOTED: what is measured under the new input, and where the car is."""
-    own = run.memory.own[slot]
+    drive = run.memory.own[slot]
     observe(slot, run.vehicles, row)
-    row[NOTED.station], row[NOTED.offset], row[NOTED.heading_error] = own.station, own.offset, own.heading_error
+    row[NOTED.station], row[NOTED.offset], row[NOTED.heading_error] = drive.station, drive.offset, drive.heading_error
 
 
 @inlined
@@ -295,12 +295,12 @@ def move(slots, run):
 @inlined
 def close(slot, run):
     """Say of a run that is over how it ended: one whose car never came near its reference has failed at once."""
-    own, found = run.memory.own[slot], run.result[slot]
-    if own.arrived == 0 and own.ended != STOPPED:
-        own.ended, own.ended_at = NEVER_ARRIVED, 0.0
-    found.ended, found.ended_at = own.ended, own.ended_at
-    if own.ended != RUNNING and own.ended != STOPPED:
-        found.squared_error = math.inf
+    drive, result = run.memory.own[slot], run.result[slot]
+    if drive.arrived == 0 and drive.ended != STOPPED:
+        drive.ended, drive.ended_at = NEVER_ARRIVED, 0.0
+    result.ended, result.ended_at = drive.ended, drive.ended_at
+    if drive.ended != RUNNING and drive.ended != STOPPED:
+        result.squared_error = math.inf
 
 
 # -- one run around a controller in Python ----------------------------------------------------------------------------

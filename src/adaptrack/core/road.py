@@ -180,12 +180,12 @@ def bracket(low, high, before, after, x, y, road):
     if hill or valley:
         for _ in range(HALVINGS):
             middle = 0.5 * (first + last)
-            here = ahead_at(middle, x, y, road)
-            if hill and here.g > 0.0:
+            distance = ahead_at(middle, x, y, road)
+            if hill and distance.g > 0.0:
                 return low, middle, True
-            if valley and here.g <= 0.0:
+            if valley and distance.g <= 0.0:
                 return middle, high, True
-            if (here.slope > 0.0) == hill:
+            if (distance.slope > 0.0) == hill:
                 first = middle
             else:
                 last = middle
@@ -198,26 +198,26 @@ def foot_about(x, y, near, reach, road):
 
     Strides to both sides are searched. The offset is NaN, and the arc length `near`, where there is no foot.
     """
-    found, offset = near, math.nan
+    station, offset = near, math.nan
     _, _, heading, curvature = point_at(near, road)
     start = ahead_at(near, x, y, road)
     for side in (1.0, -1.0):
-        s, here = near, start
+        s, distance = near, start
         for k in range(whole(ceil(reach / STRIDE))):
             end = near + side * min((k + 1) * STRIDE, reach)
             there = ahead_at(end, x, y, road)
             if side > 0.0:
-                low, high, grows = bracket(s, end, here, there, x, y, road)
+                low, high, grows = bracket(s, end, distance, there, x, y, road)
             else:
-                low, high, grows = bracket(end, s, there, here, x, y, road)
+                low, high, grows = bracket(end, s, there, distance, x, y, road)
             if grows:
                 foot, aside, direction, bend = downhill(x, y, 0.5 * (low + high), low, high, road)
                 if abs(foot - near) <= reach:
-                    found, offset, heading, curvature = foot, aside, direction, bend
-                    reach = abs(found - near)
+                    station, offset, heading, curvature = foot, aside, direction, bend
+                    reach = abs(station - near)
                 break
-            s, here = end, there
-    return found, offset, heading, curvature
+            s, distance = end, there
+    return station, offset, heading, curvature
 
 
 @inlined
@@ -260,10 +260,10 @@ def _rows_about(near, road):
 @inlined
 def _is_far(s, half, near, road):
     """Whether all of [s - half, s + half] is further than `REACH` from an arc length; never where that is NaN."""
-    apart = s - near
+    distance = s - near
     if road.numbers[CLOSED] > 0.5:
-        apart -= floor(apart / road.numbers[LENGTH] + 0.5) * road.numbers[LENGTH]
-    return abs(apart) > REACH + half
+        distance -= floor(distance / road.numbers[LENGTH] + 0.5) * road.numbers[LENGTH]
+    return abs(distance) > REACH + half
 
 
 @exported(float64(float64, float64, float64, float64, float64, Centreline), name="nearest_foot")
@@ -275,13 +275,13 @@ def nearest(x, y, yaw, across, near, road):
     a length 2 h is no nearer than its middle less h: parts that may hold the foot are halved down to a stride.
     """
     start, pieces, length = road.start, road.pieces, road.numbers[LENGTH]
-    least, found = math.inf, 0.0
+    least, station = math.inf, 0.0
     first, count = _rows_about(near, road)
     for j in range(first, first + count):
         row = j if j < len(pieces) else j - len(pieces)
         distance, middle = hypot(pieces[row, X] - x, pieces[row, Y] - y), start[row] + pieces[row, HALF]
         if distance < least and not _is_far(middle, 0.0, near, road):
-            least, found = distance, middle
+            least, station = distance, middle
     most, best = least + 2.0 * across + CLOSE + ROUNDING * (abs(x) + abs(y) + least), math.inf
     if road.numbers[CLOSED] < 0.5:
         for end, side in ((0.0, 1.0), (length, -1.0)):
@@ -289,7 +289,7 @@ def nearest(x, y, yaw, across, near, road):
             ahead = (px - x) * cos(heading) + (py - y) * sin(heading)
             cost = hypot(px - x, py - y) + across * (1.0 - cos(yaw - heading))
             if side * ahead > 0.0 and cost < best and not _is_far(end, 0.0, near, road):
-                found, best = end - ahead, cost
+                station, best = end - ahead, cost
     for j in range(first, first + count):
         row = j if j < len(pieces) else j - len(pieces)
         half, k, level = pieces[row, HALF], 0, 0
@@ -308,7 +308,7 @@ def nearest(x, y, yaw, across, near, road):
                     foot, offset, heading, _ = downhill(x, y, 0.5 * (low + high), low, high, road)
                     cost = abs(offset) + across * (1.0 - cos(yaw - heading))
                     if cost < best and not _is_far(foot, 0.0, near, road):
-                        found, best = foot, cost
+                        station, best = foot, cost
             k += 1
             while level > 0 and k % 2 == 0:
                 half, k, level = 2.0 * half, k // 2, level - 1
@@ -317,9 +317,9 @@ def nearest(x, y, yaw, across, near, road):
     if best == math.inf and abs(near) < math.inf:
         return near
     if road.numbers[CLOSED] < 0.5:
-        return found
-    found -= floor(found / length) * length
-    return 0.0 if length - found <= SAME else found  # the seam is the road's beginning
+        return station
+    station -= floor(station / length) * length
+    return 0.0 if length - station <= SAME else station  # the seam is the road's beginning
 
 
 @exported(void(Centreline, matrix, matrix))
@@ -378,8 +378,8 @@ def heading_at(s, road, roads):
     cell = min(whole(place), whole(length / spacing + 0.5) - 1)
     first = whole(numbers[FIRST_HEADING]) + cell
     last = first + 1
-    near, far = roads.headings[first], roads.headings[last]
-    return near + (place - cell) * (far - near) + laps * numbers[LAP_TURN]
+    near, end = roads.headings[first], roads.headings[last]
+    return near + (place - cell) * (end - near) + laps * numbers[LAP_TURN]
 
 
 @inlined
@@ -405,7 +405,7 @@ def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
     in which the path is Y(t). The road is passed at the speeds (m/s) planned for the instants from now on, the last one
     holding, all shifted so that the first is `speed`: v (m/s) of the model.
     """
-    here = heading_at(station, road, roads)
+    heading = heading_at(station, road, roads)
     first = whole(delay)
     y = before = time = 0.0
     s = station
@@ -413,7 +413,7 @@ def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
         step = step_ahead(j, delay, period)
         s += planned_speed(time, speeds, speed, period) * step
         time += step
-        after = heading_at(s, road, roads) - here
+        after = heading_at(s, road, roads) - heading
         y += 0.5 * speed * step * (before + after)
         before = after
         if j >= first:

@@ -75,7 +75,7 @@ Counts = record(
         "integers", "numbers", "scratch",  # of the schedule, see `schedule.schedule_sizes`
         "tuning",  # entries of the controller's tuning
     ),
-    whole=(
+    integers=(
         "law", "law_parameters", "law_memory", "diagnostics", "integers", "numbers", "scratch", "tuning",
     ),
 )  # fmt: skip
@@ -94,17 +94,17 @@ def law_sizes(slots, parameters, memory, diagnostics, table, row):
 
 
 @exported(int64(Row(mpc.Settings), Row(Counts), int_matrix), name="run_sizes")
-def sizes(own, counts, table):
+def sizes(settings, counts, table):
     """Write the sizes of the arrays of a `Run` and how many there are, see `layout`; complete the MPC's settings.
 
     The two arrays `measured`, of the loop and of the MPC, are one.
     """
     slots = counts.loop.slots
     row = period.put_sizes(counts.loop, table, 0)
-    mpc.complete_settings(own, counts.mpc)
-    row = mpc.put_sizes(own, counts.mpc, table, row)
-    driven = slots if counts.law > 0 else 0
-    row = law_sizes(driven, counts.law_parameters, counts.law_memory, counts.diagnostics, table, row)
+    mpc.complete_settings(settings, counts.mpc)
+    row = mpc.put_sizes(settings, counts.mpc, table, row)
+    law_slots = slots if counts.law > 0 else 0
+    row = law_sizes(law_slots, counts.law_parameters, counts.law_memory, counts.diagnostics, table, row)
     row = schedule_sizes(slots, counts.integers, counts.numbers, counts.scratch, table, row)
     return put(table, row, slots, counts.tuning)
 
@@ -117,44 +117,44 @@ def no_law_batch() -> Any:
 def law_batch(slots: int, law: Any) -> Any:
     """Fresh control laws for `slots` slots, of a `CompiledController`."""
     diagnostics, parameters = law.diagnostic_names, np.array(law.parameters(), float)
-    made = room(Law, law_sizes, slots, parameters.size, law.memory_size, len(diagnostics))
-    made.parameters[:] = parameters
-    held = 1 + diagnostics.index("held") if "held" in diagnostics else 0
-    return made._replace(function=address_of(law.function), held=held, preview=int(law.preview))
+    law_record = room(Law, law_sizes, slots, parameters.size, law.memory_size, len(diagnostics))
+    law_record.parameters[:] = parameters
+    held_place = 1 + diagnostics.index("held") if "held" in diagnostics else 0
+    return law_record._replace(function=address_of(law.function), held=held_place, preview=int(law.preview))
 
 
 # -- the controller ---------------------------------------------------------------------------------------------------
 @inlined
 def _apply_law(slot, reference, run):
     """A control law; a command that is not finite holds the last one."""
-    own, out, given, measured = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.measured
+    drive, out, situation, measured = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.measured
     roads, scenario = run.given.roads, run.given.scenario[slot]
     speeds = run.given.signals[scenario, SIGNAL.speed]
-    first = own.instant if roads.of[scenario] >= 0 else speeds.size
-    road = RoadAhead(line_of(roads.of[scenario], roads), own.station, speeds[first:])
+    first = drive.instant if roads.of[scenario] >= 0 else speeds.size
+    road = RoadAhead(line_of(roads.of[scenario], roads), drive.station, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
-    now = Situation(
+    current = Situation(
         0.0 if no_vy else measured[MEASURED.vy],
         measured[MEASURED.yaw],
         measured[MEASURED.yaw_rate],
         measured[MEASURED.y],
-        own.speed,
-        own.command,
+        drive.speed,
+        drive.command,
     )
-    for i in range(len(now)):
-        given[i] = now[i]
-    found = run.law.own_answer
+    for i in range(len(current)):
+        situation[i] = current[i]
+    answer = run.law.own_answer
     ahead = reference if run.law.preview > 0 else reference[:1]
     call_law(
-        run.law.function, given, ahead, road, run.tuning[slot], run.law.parameters, run.law.memory[slot], found
+        run.law.function, situation, ahead, road, run.tuning[slot], run.law.parameters, run.law.memory[slot], answer
     )  # fmt: skip
-    usable = math.isfinite(found[COMMAND])
-    out[COMMON.command] = found[COMMAND] if usable else own.command
-    out[COMMON.command_change] = out[COMMON.command] - own.command
-    out[COMMON.held] = 1.0 if not usable or (run.law.held > 0 and found[run.law.held] > 0.5) else 0.0
-    answered, kept = found[COMMAND + 1 :], out[len(COMMON) :]
-    for i in range(kept.size):
-        kept[i] = answered[i]
+    usable = math.isfinite(answer[COMMAND])
+    out[COMMON.command] = answer[COMMAND] if usable else drive.command
+    out[COMMON.command_change] = out[COMMON.command] - drive.command
+    out[COMMON.held] = 1.0 if not usable or (run.law.held > 0 and answer[run.law.held] > 0.5) else 0.0
+    answered, recorded = answer[COMMAND + 1 :], out[len(COMMON) :]
+    for i in range(recorded.size):
+        recorded[i] = answered[i]
 
 
 @inlined
@@ -189,14 +189,14 @@ def control_slot(slot, run):
 @inlined
 def _count_answer(k, slot, answer, run):
     """Count and trace what the controller answered at instant k."""
-    found = run.result[slot]
-    found.held += 1 if answer[COMMON.held] > 0.5 else 0
+    result = run.result[slot]
+    result.held += 1 if answer[COMMON.held] > 0.5 else 0
     if not run.features.law:
         status = whole(answer[mpc.ANSWER.qp_status])
-        found.capped += 1 if status == qp.CAPPED else 0
-        found.unsolved += 1 if status > qp.CAPPED else 0
-        found.limited += 1 if answer[mpc.ANSWER.at_limit] > 0.5 else 0
-        found.iterations += whole(answer[mpc.ANSWER.qp_iterations])
+        result.capped += 1 if status == qp.CAPPED else 0
+        result.unsolved += 1 if status > qp.CAPPED else 0
+        result.limited += 1 if answer[mpc.ANSWER.at_limit] > 0.5 else 0
+        result.iterations += whole(answer[mpc.ANSWER.qp_iterations])
     if run.features.traces:
         row, size = run.trace.answer[slot, k], answer.size
         for j in range(size):
@@ -208,9 +208,9 @@ def _count_answer(k, slot, answer, run):
 @inlined
 def _drive_slot(k, slot, span, run):
     """Instant k of a run: the two halves of `period` around its controller."""
-    own = run.memory.own[slot]
+    drive = run.memory.own[slot]
     before_control(slot, span, run)
-    if own.ended != RUNNING:
+    if drive.ended != RUNNING:
         return
     if run.features.variables:
         schedule(slot, run.variables, run.schedule, run.tuning[slot])
@@ -248,12 +248,12 @@ def control_all(span, run):
     """The present instant of all slots that are under way; how many drive on from it."""
     running = 0
     for i in range(span.slots):
-        own = run.memory.own[i]
-        k = own.instant
-        if own.ended != RUNNING or k >= span.periods:
+        drive = run.memory.own[i]
+        k = drive.instant
+        if drive.ended != RUNNING or k >= span.periods:
             continue
         _drive_slot(k, i, span, run)
-        if own.ended == RUNNING:
+        if drive.ended == RUNNING:
             running += 1
         else:
             _end_slot(k, i, span, run)
@@ -275,12 +275,12 @@ def roll_on(count, span, run):
     A run ends early when it has failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can
     only grow. The cost of each segment is written to `segments`: inf for the one in which a run ends, NaN after.
     """
-    driven = 0
-    while driven < count and control_all(span, run) > 0:
+    periods = 0
+    while periods < count and control_all(span, run) > 0:
         move(span.slots, run)
-        driven += 1
+        periods += 1
     close_all(span, run)
-    return driven
+    return periods
 
 
 @exported(void(Span, Place(Run)))

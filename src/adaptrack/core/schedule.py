@@ -96,16 +96,16 @@ def _parts(scratch):
 @inlined
 def _clip_inputs(variables, settings, x):
     """Write the inputs x, clipped to the domain. Returns whether one was clipped, was far outside, was no number."""
-    clipped, far, broken = False, False, False
+    clipped, is_far, broken = False, False, False
     slack = settings.guard.slack
     for d in range(settings.n_inputs):
-        given = settings.inputs[d]
-        value = variables[given.place]
-        x[d] = clip(value, given.low, given.high)
+        declared = settings.inputs[d]
+        value = variables[declared.place]
+        x[d] = clip(value, declared.low, declared.high)
         broken = broken or not math.isfinite(value)
         clipped = clipped or abs(value - x[d]) > 0.0
-        far = far or abs(value - x[d]) > slack * (given.high - given.low)
-    return clipped, far, broken
+        is_far = is_far or abs(value - x[d]) > slack * (declared.high - declared.low)
+    return clipped, is_far, broken
 
 
 @inlined
@@ -133,35 +133,35 @@ def schedule(slot, variables, plan, tuning):
     Inputs are clipped to the domain. When one, or an output, is not a number, the guard takes its fallback; without a
     guard the last tuning is kept, and before a first one the tuning that is already there.
     """
-    settings, own = plan.settings[0], plan.memory[slot]
+    settings, memory = plan.settings[0], plan.memory[slot]
     x, values, work = _parts(plan.scratch)
-    own.steps += 1
-    clipped, far, broken = _clip_inputs(variables, settings, x)
+    memory.steps += 1
+    clipped, is_far, broken = _clip_inputs(variables, settings, x)
     if clipped:
-        own.clipped += 1
+        memory.clipped += 1
     if not broken:
         broken = _evaluate_entries(x, plan, values, work)
     if broken:
-        own.broken += 1
+        memory.broken += 1
     if not broken:
         for s in range(settings.n_entries):
             tuning[s] = values[s]
     elif settings.guard.used == 0:
-        if own.holding == 1:
+        if memory.holding == 1:
             for s in range(settings.n_entries):
-                tuning[s] = own.last[s]
+                tuning[s] = memory.last[s]
         return
     if settings.guard.used == 1:
-        supervise(variables, tuning, far or broken, settings.guard, own, plan.integers, plan.numbers, work)
+        supervise(variables, tuning, is_far or broken, settings.guard, memory, plan.integers, plan.numbers, work)
     for s in range(settings.n_entries):
-        own.last[s] = tuning[s]
-    own.holding = 1
+        memory.last[s] = tuning[s]
+    memory.holding = 1
 
 
 @exported(void(matrix, Place(Schedule), matrix))
 def schedule_all(variables, plan, tunings):
     """Write the tuning (n, entries) for each of many variables (n, VARIABLES), each as at the first step of a run."""
-    own = plan.memory[0]
+    memory = plan.memory[0]
     for i in range(len(variables)):
-        own.left, own.holding = 0, 0
+        memory.left, memory.holding = 0, 0
         schedule(0, variables[i], plan, tunings[i])

@@ -126,9 +126,9 @@ def velocity(v, x, best, leader, by, r1, r2):
 
 # -- one run ----------------------------------------------------------------------------------------------------------
 @exported(float64(float64, float64, float64, float64))
-def place_between(low, high, whole, u):
+def place_between(low, high, integers, u):
     """The point that u in [0, 1) picks from [low, high]; with `whole`, from its integers, each as likely."""
-    if whole > 0.5:
+    if integers > 0.5:
         return min(low + floor(u * (high - low + 1.0)), high)
     return min(low + u * (high - low), high)
 

@@ -30,7 +30,7 @@ and the best cost after each generation (generations,), which is written."""
 
 
 @exported(int64(int64, int64, Judged, Place(Trial)), name="evaluate_tunings")
-def evaluate(first, slots, judged, trial):
+def evaluate(first, slots, verdicts, trial):
     """Write the cost of so many tunings from `first` on: J = mean e^2 + weight * mean (change of command)^2.
 
     The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
@@ -38,7 +38,7 @@ def evaluate(first, slots, judged, trial):
     """
     run, span, count = trial.run, trial.span, trial.noise.size
     span = Span(span.periods, slots, span.segment, span.weight)
-    tunings, ceilings, costs = judged.tunings[first:], judged.ceilings[first:], judged.costs[first:]
+    tunings, ceilings, costs = verdicts.tunings[first:], verdicts.ceilings[first:], verdicts.costs[first:]
     steps = 0
     _, entries = tunings.shape
     for i in range(slots):
@@ -54,12 +54,12 @@ def evaluate(first, slots, judged, trial):
                 run.memory.own[i].ended = STOPPED
         rollout(span, run)
         for i in range(slots):
-            found = run.result[i]
-            steps += found.instants
-            if found.ended != RUNNING or not costs[i] < math.inf:
+            result = run.result[i]
+            steps += result.instants
+            if result.ended != RUNNING or not costs[i] < math.inf:
                 costs[i] = math.inf
             else:
-                costs[i] += (found.squared_error + span.weight * found.squared_move) / span.periods
+                costs[i] += (result.squared_error + span.weight * result.squared_move) / span.periods
     for i in range(slots):
         costs[i] /= count
     return steps
@@ -73,15 +73,15 @@ def tune(search, trial):
     is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
-    swarm, judged, slots = search.swarm, search.judged, trial.span.slots
-    judged = Judged(judged.tunings, swarm.best_costs, judged.costs)
+    swarm, verdicts, slots = search.swarm, search.judged, trial.span.slots
+    verdicts = Judged(verdicts.tunings, swarm.best_costs, verdicts.costs)
     begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
     generations, count = search.best.size, len(swarm.x)
     for g in range(generations):
-        decode(count, search.space, swarm.x, judged.tunings)
+        decode(count, search.space, swarm.x, verdicts.tunings)
         for first in range(0, count, slots):
-            steps += evaluate(first, min(slots, count - first), judged, trial)
-        learn(judged.costs, swarm)
+            steps += evaluate(first, min(slots, count - first), verdicts, trial)
+        learn(verdicts.costs, swarm)
         search.best[g] = swarm.progress[LEADER_COST]
         if g < generations - 1:
             move(g, search.seed, search.stream, search.settings, search.space, swarm)

@@ -202,10 +202,10 @@ def pack(
     memory = laid.settle()
     home = {part.name: place for part, place in laid.placed}
     changes = [
-        (home[rows] + _offset(laid.part(rows).values, each), _bits(value))
+        (home[rows] + _offset(laid.part(rows).values, name), _bits(value))
         for rows, fields in (resets or {}).items()
         if rows in home
-        for each, value in fields.items()
+        for name, value in fields.items()
     ]
     begins = [
         (home[start.of], laid.part(start.of).values.nbytes // 8, home[start.like])
@@ -217,19 +217,19 @@ def pack(
     runs = _runs(memory)
     shape = repr((name, len(memory), places, links, begins, laid.shapes, laid.outside)).encode()
     tables = [*places, *links, *begins, *runs]
-    rest = b"".join(struct.pack(f"<{len(row)}I", *row) for row in tables)
-    rest += bytes(-len(rest) % 8)
-    rest += b"".join(struct.pack("<QQ", word, value) for word, value in changes)
-    rest += b"".join(memory[first : first + count].tobytes() for first, count in runs)
+    remainder = b"".join(struct.pack(f"<{len(row)}I", *row) for row in tables)
+    remainder += bytes(-len(remainder) % 8)
+    remainder += b"".join(struct.pack("<QQ", word, value) for word, value in changes)
+    remainder += b"".join(memory[first : first + count].tobytes() for first, count in runs)
     header = Header(
-        int(library.kernels_hash()[:16], 16), PRELUDE.size + HEADER.size + len(rest), _number(name), zlib.crc32(shape),
-        len(memory), len(laid.words), laid.first[Role.RENEWED], laid.first[Role.KEPT], len(places), len(links),
-        len(begins), len(runs), len(changes),
+        int(library.kernels_hash()[:16], 16), PRELUDE.size + HEADER.size + len(remainder), _number(name),
+        zlib.crc32(shape), len(memory), len(laid.words), laid.first[Role.RENEWED], laid.first[Role.KEPT],
+        len(places), len(links), len(begins), len(runs), len(changes),
     )  # fmt: skip
-    behind = HEADER.pack(*header) + rest
+    behind = HEADER.pack(*header) + remainder
     content = PRELUDE.pack(MAGIC, FORMAT, zlib.crc32(behind)) + behind
     functions = tuple(sorted({function for _, function in laid.links}))
-    if len({_number(each) for each in functions}) < len(functions):
+    if len({_number(name) for name in functions}) < len(functions):
         raise InvalidInput(f"export: two of {', '.join(functions)} have one CRC-32: rename one.")
     arrays = tuple(part.layout() for part, _ in laid.placed)
     return Block(content, header, functions, dict(laid.links), arrays, tuple(laid.words), laid.numbers | home)
@@ -273,10 +273,10 @@ class _Laid:
         """arrays and where they lie"""
         self.first: dict[Role, int] = {}
         self._parts: list[_Part] = []
-        self._kernels = {each.address: name for name, each in EXPORTED.items() if "address" in vars(each)}
+        self._kernels = {kernel.address: name for name, kernel in EXPORTED.items() if "address" in vars(kernel)}
 
     def part(self, name: str) -> _Part:
-        return next(each for each in self._parts if each.name == name)
+        return next(part for part in self._parts if part.name == name)
 
     def lay(self, before: str, record: Any) -> None:
         """The words of a record, as `core.kernel.Resident` has them."""
@@ -294,7 +294,7 @@ class _Laid:
                 self.words.append(self._whole(full, int(value)))
 
     def _lay_array(self, name: str, values: NDArray[Any]) -> None:
-        if name.startswith(tuple(f"{each}." for each in self.outside)) or name in self.outside:
+        if name.startswith(tuple(f"{prefix}." for prefix in self.outside)) or name in self.outside:
             self.words += [0] * (1 + values.ndim)
             return
         self._parts.append(_Part(name, len(self.words), values, self._role(name)))
@@ -302,7 +302,7 @@ class _Laid:
         self.words += (0, *values.shape)
 
     def _role(self, name: str) -> Role:
-        fits = [each for each in self._roles if name == each or name.startswith(f"{each}.")]
+        fits = [prefix for prefix in self._roles if name == prefix or name.startswith(f"{prefix}.")]
         return self._roles[max(fits, key=len)] if fits else Role.KEPT
 
     def _whole(self, name: str, value: int) -> int:
@@ -315,17 +315,17 @@ class _Laid:
 
     def settle(self) -> NDArray[np.uint64]:
         """Give every array its place; the memory with all of them in it. Arrays that share memory keep sharing it."""
-        filled = [each for each in self._parts if each.values.size]
+        filled = [part for part in self._parts if part.values.size]
         size, stretches = len(self.words), sorted(_stretches(filled), key=_order)
-        self.placed = [(each, 0) for each in self._parts if not each.values.size]
+        self.placed = [(part, 0) for part in self._parts if not part.values.size]
         laid: list[tuple[int, NDArray[np.uint64]]] = []
         for role in Role:
             size += -size % ROOM
             self.first[role] = size
-            for own, parts in stretches:
-                if own is not role:
+            for role, parts in stretches:
+                if role is not role:
                     continue
-                first, last = min(each.first for each in parts), max(each.last for each in parts)
+                first, last = min(part.first for part in parts), max(part.last for part in parts)
                 count = (last - first) // 8
                 size += -size % ROOM if count >= ROOM else 0
                 for part in parts:
@@ -336,7 +336,7 @@ class _Laid:
         memory[: len(self.words)] = self.words
         for place, words in laid:
             memory[place : place + words.size] = words
-        self.placed.sort(key=lambda each: each[0].word)
+        self.placed.sort(key=lambda placed: placed[0].word)
         return memory
 
 
@@ -348,11 +348,11 @@ def _order(stretch: tuple[Role, list[_Part]]) -> int:
 def _stretches(parts: Sequence[_Part]) -> Iterator[tuple[Role, list[_Part]]]:
     """Arrays that overlap, together; the most lasting of their roles counts."""
     end, group = 0, list[_Part]()
-    for part in sorted(parts, key=lambda each: (each.first, each.last)):
+    for part in sorted(parts, key=lambda part: (part.first, part.last)):
         if group and part.first >= end:
-            yield max(each.role for each in group), group
+            yield max(member.role for member in group), group
             group = []
         end = max(end, part.last) if group else part.last
         group.append(part)
     if group:
-        yield max(each.role for each in group), group
+        yield max(member.role for member in group), group

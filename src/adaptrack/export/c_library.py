@@ -111,17 +111,17 @@ def export_c(
     way = load_road(road) if isinstance(road, str) else road
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     speed = plan_speed(way, controller.vehicle) if plan is None else plan
-    driven = record_drive(controller, driven_car, way, speed, world, furthest=furthest)
+    recorded = record_drive(controller, driven_car, way, speed, world, furthest=furthest)
     name = next(iter(files))
-    texts = _texts(controller, block, driven, name, tuple(files))
+    texts = _texts(controller, block, recorded, name, tuple(files))
     target = Path(folder)
     for place, content in {**texts, CONSTANTS_FILE: block.content}.items():
         _write(target / place, content)
-    for each, file in files.items():
-        _write(target / "lib" / each / KERNELS_FILE, file.read_bytes())
+    for file_name, file in files.items():
+        _write(target / "lib" / file_name / KERNELS_FILE, file.read_bytes())
     return Exported(
-        target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(driven.samples),
-        driven.failed,
+        target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
+        recorded.failed,
     )  # fmt: skip
 
 
@@ -154,42 +154,42 @@ def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None 
         When one is not at hand, or is of other kernels.
     """
     folder = library.BUILT if objects is None else Path(objects)
-    found = {}
+    paths = {}
     for name in dict.fromkeys(targets or [own_target()]):
         try:
-            found[name] = library.exported(name) if objects is None else library.export_of(name, folder)
+            paths[name] = library.exported(name) if objects is None else library.export_of(name, folder)
         except library.UNUSABLE as error:
-            known = list_targets(objects)
-            near = did_you_mean(name, known) if known else "None is there."
+            available = list_targets(objects)
+            near = did_you_mean(name, available) if available else "None is there."
             raise InvalidInput(
                 f"export: no kernels for {name!r} in {folder} ({error}). {near} All of them: make targets, unpack its "
                 f"archive, --objects FOLDER; or {library.BUILD} --export {name}."
             ) from error
-    return found
+    return paths
 
 
 # -- texts ------------------------------------------------------------------------------------------------------------
 def _texts(
-    controller: Controller, block: Block, driven: Recorded, target: str, targets: Sequence[str]
+    controller: Controller, block: Block, recorded: Recorded, target: str, targets: Sequence[str]
 ) -> dict[str, bytes]:
     """The files that are text, by their places in the folder."""
     words = {
         "TARGET": target, "TARGETS": ", ".join(targets), "VERSION": __version__, "CONTROLLER": repr(controller),
         "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{block.laid_size:,}",
         "STATE_SIZE": f"{block.saved_size:,}", "PERIOD": f"{controller.period:g}",
-        "STEPS": f"{len(driven.samples):,}", "KERNELS": library.kernels_hash(),
+        "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(),
     }  # fmt: skip
-    found = {}
+    texts = {}
     for folder, names in FOLDERS.items():
         for name in names:
-            found[f"{folder}/{name}"] = _filled((SOURCES / name).read_text(encoding="utf-8"), words)
+            texts[f"{folder}/{name}"] = _filled((SOURCES / name).read_text(encoding="utf-8"), words)
     kind = Tracking if isinstance(controller, MPC) else LawTracking
-    found["include/adaptrack_config.h"] = _config(controller, block)
-    found["src/adaptrack_parts.h"] = _parts_header(block, kind)
-    found["src/adaptrack_parts.c"] = _parts(controller, block, kind)
-    found["src/adaptrack_constants.c"] = _constants(block)
-    found["adaptrack_recorded.h"] = _recorded(driven)
-    return {name: text.encode() for name, text in found.items()}
+    texts["include/adaptrack_config.h"] = _config(controller, block)
+    texts["src/adaptrack_parts.h"] = _parts_header(block, kind)
+    texts["src/adaptrack_parts.c"] = _parts(controller, block, kind)
+    texts["src/adaptrack_constants.c"] = _constants(block)
+    texts["adaptrack_recorded.h"] = _recorded(recorded)
+    return {name: text.encode() for name, text in texts.items()}
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
@@ -238,7 +238,7 @@ def _parts_header(block: Block, kind: Any) -> str:
     """Places in records and rows, as the kernels' own files have them."""
     words = dict(_words("", Tracker, 0))
     shared = dict(_words("", Tracking, 0)), dict(_words("", LawTracking, 0))
-    assert all(each[f"tracker_{name}"] == at for each in shared for name, at in words.items())
+    assert all(places[f"tracker_{name}"] == at for places in shared for name, at in words.items())
     lines = [
         f"    ADAPTRACK_{name.upper()} = {at}," for name, at in words.items() if name.startswith(("path_", "plan_"))
     ]
@@ -270,14 +270,14 @@ def _parts_header(block: Block, kind: Any) -> str:
 
 def _words(before: str, kind: Any, at: int) -> Iterator[tuple[str, int]]:
     """The word at which each field of a record begins, as `core.kernel.Resident` lays it."""
-    for name, each in kind.kinds.items():
-        if isinstance(each, KernelArray):
+    for name, field_kind in kind.kinds.items():
+        if isinstance(field_kind, KernelArray):
             yield f"{before}{name}", at
-            at += 1 + each.ndim
-        elif hasattr(each, "kinds"):
-            inner = list(_words(f"{before}{name}_", each, at))
+            at += 1 + field_kind.ndim
+        elif hasattr(field_kind, "kinds"):
+            inner = list(_words(f"{before}{name}_", field_kind, at))
             yield from inner
-            at += words_of(each)
+            at += words_of(field_kind)
         else:
             yield f"{before}{name}", at
             at += 1
@@ -286,20 +286,24 @@ def _words(before: str, kind: Any, at: int) -> Iterator[tuple[str, int]]:
 def words_of(kind: Any) -> int:
     """How many words a record takes."""
     return sum(
-        1 + each.ndim if isinstance(each, KernelArray) else words_of(each) if hasattr(each, "kinds") else 1
-        for each in kind.kinds.values()
+        1 + field_kind.ndim
+        if isinstance(field_kind, KernelArray)
+        else words_of(field_kind)
+        if hasattr(field_kind, "kinds")
+        else 1
+        for field_kind in kind.kinds.values()
     )
 
 
 def _parts(controller: Controller, block: Block, kind: Any) -> str:
     """Which kernels the constants call, and the bounds of their numbers."""
     step, header = step_kernel(controller), block.header
-    known = [f"extern void adaptrack_{name}(void);" for name in block.functions]
+    declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
-            '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *known,
+            '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
             f"extern void adaptrack_{step}(void *record);", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
@@ -321,32 +325,32 @@ def _constants(block: Block) -> str:
 
 
 # -- the recorded minute ----------------------------------------------------------------------------------------------
-def _recorded(driven: Recorded) -> str:
-    points = ",\n    ".join(f"{x!r}, {y!r}" for x, y in driven.points.tolist())
+def _recorded(recorded: Recorded) -> str:
+    points = ",\n    ".join(f"{x!r}, {y!r}" for x, y in recorded.points.tolist())
     rows = [
         ", ".join(f"{word:#x}u" for word in [*_canonical(sample), fingerprint(answer)])
-        for sample, answer in zip(driven.samples, driven.answers, strict=True)
+        for sample, answer in zip(recorded.samples, recorded.answers, strict=True)
     ]
-    size = 64 + 8 * path.path_words(np.ascontiguousarray(driven.points), False)
+    size = 64 + 8 * path.path_words(np.ascontiguousarray(recorded.points), False)
     sets = "},\n    {".join(rows)
     return f"""\
 /* adaptrack: a recorded drive. Written by adaptrack.export. */
 #include <stdint.h>
 
 enum {{
-    ADAPTRACK_RECORDED_POINTS = {len(driven.points)},
+    ADAPTRACK_RECORDED_POINTS = {len(recorded.points)},
     ADAPTRACK_RECORDED_PATH_SIZE = {size}, /* bytes, of adaptrack_path_size */
-    ADAPTRACK_RECORDED_PLAN = {driven.plan.s.size},
+    ADAPTRACK_RECORDED_PLAN = {recorded.plan.s.size},
     ADAPTRACK_RECORDED_STEPS = {len(rows)},
-    ADAPTRACK_RECORDED_DRIVEN = {driven.driven_calls} /* of the simulated drive, the first ones */
+    ADAPTRACK_RECORDED_DRIVEN = {recorded.driven_calls} /* of the simulated drive, the first ones */
 }};
 /* m: x, y of the path */
 static const double adaptrack_recorded_points[] = {{
     {points}}};
 static const double adaptrack_recorded_plan_s[] = {{ /* m */
-    {_numbers(driven.plan.s)}}};
+    {_numbers(recorded.plan.s)}}};
 static const double adaptrack_recorded_plan_speed[] = {{ /* m/s */
-    {_numbers(driven.plan.speed)}}};
+    {_numbers(recorded.plan.speed)}}};
 /* For each call the bits of an adaptrack_sample, then the CRC-32 of what Python answered. */
 static const uint64_t adaptrack_recorded[][{len(SAMPLE) + 1}] = {{
     {{{sets}}}}};
@@ -354,14 +358,14 @@ static const uint64_t adaptrack_recorded[][{len(SAMPLE) + 1}] = {{
 
 
 def _numbers(values: Any) -> str:
-    return ",\n    ".join(repr(float(each)) for each in values)
+    return ",\n    ".join(repr(float(value)) for value in values)
 
 
 def _canonical(values: Any) -> list[int]:
     """The bits of numbers; any NaN is one."""
-    given = np.array(values, dtype=float)
-    given[np.isnan(given)] = np.nan
-    return [int(each) for each in given.view(np.uint64)]
+    array = np.array(values, dtype=float)
+    array[np.isnan(array)] = np.nan
+    return [int(word) for word in array.view(np.uint64)]
 
 
 def fingerprint(answer: Any) -> int:

@@ -108,18 +108,18 @@ def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", 
         "modelDescription.xml": description(unit, token, version),
         "resources/constants.bin": block.content,
         **dict(_binaries(name, version)),
-        **{f"sources/{each.name}": each.read_bytes() for each in fmu_build.SOURCES},
+        **{f"sources/{source.name}": source.read_bytes() for source in fmu_build.SOURCES},
         "sources/units.c": fmu_build.units_header().encode(),
         "documentation/index.html": _page(unit).encode(),
         "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
     }
-    made = io.BytesIO()
-    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for place, content in files.items():
             entry = zipfile.ZipInfo(place, _DATE)
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o755 << 16
             archive.writestr(entry, content)
-    write_atomically(path, made.getvalue())
+    write_atomically(path, buffer.getvalue())
     return path
 
 
@@ -132,7 +132,7 @@ def constants(unit: Unit) -> Block:
         When it holds a function that is none of the package's.
     """
     block = pack(unit.record, type(unit.record).__name__, unit.roles)
-    missing = [each for each in block.functions if each not in fmu_build.MEMBERS]
+    missing = [function for function in block.functions if function not in fmu_build.MEMBERS]
     if missing:
         raise InvalidInput(
             f"export fmu: {', '.join(missing)}: not among the kernels of an FMU; a plant is single-track or dual-track."
@@ -143,11 +143,11 @@ def constants(unit: Unit) -> Block:
 def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
     """Places and contents of the shared libraries."""
     for system, entry in binaries().items():
-        own = fmu_build.SYSTEMS[system]
-        content = (fmu_build.BUILT / f"fmu-{system}.{own.ending}").read_bytes()
+        system_binaries = fmu_build.SYSTEMS[system]
+        content = (fmu_build.BUILT / f"fmu-{system}.{system_binaries.ending}").read_bytes()
         if hashlib.sha256(content).hexdigest() != entry["sha256"]:
-            raise InvalidInput(f"export fmu: fmu-{system}.{own.ending} is damaged; {REMEDY}")
-        yield f"binaries/{own.folders[VERSIONS.index(version)]}/{name}.{own.ending}", content
+            raise InvalidInput(f"export fmu: fmu-{system}.{system_binaries.ending} is damaged; {REMEDY}")
+        yield f"binaries/{system_binaries.folders[VERSIONS.index(version)]}/{name}.{system_binaries.ending}", content
 
 
 def binaries() -> dict[str, Any]:
@@ -180,11 +180,11 @@ def description(unit: Unit, token: str, version: str) -> bytes:
     })  # fmt: skip
     states = "canGetAndSetFMUstate" if second else "canGetAndSetFMUState"
     serialised = "canSerializeFMUstate" if second else "canSerializeFMUState"
-    found = {"modelIdentifier": f"adaptrack_{unit.name}", "canHandleVariableCommunicationStepSize": "false",
+    names = {"modelIdentifier": f"adaptrack_{unit.name}", "canHandleVariableCommunicationStepSize": "false",
              states: "true", serialised: "true"}  # fmt: skip
     if not second:
-        found["fixedInternalStepSize"] = repr(unit.period)
-    ET.SubElement(root, "CoSimulation", found)
+        names["fixedInternalStepSize"] = repr(unit.period)
+    ET.SubElement(root, "CoSimulation", names)
     _units(ET.SubElement(root, "UnitDefinitions"), unit)
     ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", {"name": "logStatusError"})
     ET.SubElement(root, "DefaultExperiment", {"startTime": "0.0", "stopTime": "10.0", "stepSize": repr(unit.period)})
@@ -192,7 +192,7 @@ def description(unit: Unit, token: str, version: str) -> bytes:
     for reference, value in enumerate(unit.values):
         _variable(variables, reference, value, version)
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [i for i, each in enumerate(unit.values) if each.role == 0]
+    outputs = [i for i, value in enumerate(unit.values) if value.role == 0]
     if second:
         for kind, attributes in (("Outputs", {"dependencies": ""}), ("InitialUnknowns", {})):
             listed = ET.SubElement(structure, kind)
@@ -207,9 +207,9 @@ def description(unit: Unit, token: str, version: str) -> bytes:
 
 
 def _units(definitions: ET.Element, unit: Unit) -> None:
-    for name in sorted({each.unit for each in unit.values if each.unit}):
-        made = ET.SubElement(definitions, "Unit", {"name": name})
-        ET.SubElement(made, "BaseUnit", {base: str(power) for base, power in _BASE_UNITS[name].items()})
+    for name in sorted({value.unit for value in unit.values if value.unit}):
+        element = ET.SubElement(definitions, "Unit", {"name": name})
+        ET.SubElement(element, "BaseUnit", {base: str(power) for base, power in _BASE_UNITS[name].items()})
 
 
 def _variable(variables: ET.Element, reference: int, value: Value, version: str) -> None:
@@ -222,24 +222,24 @@ def _variable(variables: ET.Element, reference: int, value: Value, version: str)
     common = {"name": value.name, "valueReference": str(reference), "causality": causality, "variability": variability}
     if value.description:
         common["description"] = value.description
-    own: dict[str, str] = {"unit": value.unit} if value.unit else {}
+    attributes: dict[str, str] = {"unit": value.unit} if value.unit else {}
     if value.type != TRUTH and value.role in (PARAMETER, INPUT):
         limits = {
             "min": value.least,
             "max": min(value.most, _LARGEST_INTEGER) if second and value.type == WHOLE else value.most,
         }
-        own |= {name: _text(limit, value) for name, limit in limits.items() if math.isfinite(limit)}
+        attributes |= {name: _text(limit, value) for name, limit in limits.items() if math.isfinite(limit)}
     if value.role in (PARAMETER, INPUT) or causality == "local":
-        own["start"] = _text(value.start, value)
+        attributes["start"] = _text(value.start, value)
         if causality == "local":
             common["initial"] = "exact"
     elif causality == "output":
         common["initial"] = "calculated"
     kind = _TYPES[version][value.type]
     if second:
-        ET.SubElement(ET.SubElement(variables, "ScalarVariable", common), kind, own)
+        ET.SubElement(ET.SubElement(variables, "ScalarVariable", common), kind, attributes)
     else:
-        ET.SubElement(variables, kind, common | own)
+        ET.SubElement(variables, kind, common | attributes)
 
 
 def _text(number: float, value: Value) -> str:
@@ -254,9 +254,9 @@ def _page(unit: Unit) -> str:
 
     roles = {CONSTANT: "constant", PARAMETER: "parameter", INPUT: "input", 0: "output"}
     rows = "\n".join(
-        f"<tr><td>{each.name}</td><td>{roles[each.role]}</td><td>{escape(each.unit)}</td>"
-        f"<td>{escape(each.description)}</td></tr>"
-        for each in unit.values
+        f"<tr><td>{value.name}</td><td>{roles[value.role]}</td><td>{escape(value.unit)}</td>"
+        f"<td>{escape(value.description)}</td></tr>"
+        for value in unit.values
     )
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>adaptrack</title></head><body>\n'

@@ -28,8 +28,8 @@ HERE = Path(__file__).parent
 BUILT = HERE / "built"
 MANIFEST = "fmu.json"
 SOURCES = (
-    *(HERE / "fmu_c" / each for each in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
-    *(HERE / "c" / each for each in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
+    *(HERE / "fmu_c" / name for name in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
+    *(HERE / "c" / name for name in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
 LICENSE = HERE / "c" / "LICENSE"
 MEMBERS = (
@@ -72,9 +72,9 @@ EXPORTS = "{ global: fmi2*; fmi3*; local: *; };\n"
 
 def units_header() -> str:
     """``units.h``: the kernels of the units as a table, and the hash by which constants know them."""
-    declared = "".join(f"extern void adaptrack_{each}(void);\n" for each in MEMBERS)
-    declared += "".join(f"extern int64_t adaptrack_{each}(void *);\n" for pair in UNITS.values() for each in pair)
-    rows = "".join(f"    {{{zlib.crc32(each.encode()):#x}u, adaptrack_{each}}},\n" for each in MEMBERS)
+    declared = "".join(f"extern void adaptrack_{member}(void);\n" for member in MEMBERS)
+    declared += "".join(f"extern int64_t adaptrack_{kernel}(void *);\n" for pair in UNITS.values() for kernel in pair)
+    rows = "".join(f"    {{{zlib.crc32(member.encode()):#x}u, adaptrack_{member}}},\n" for member in MEMBERS)
     units = "".join(
         f"    {{{{{int(library.kernels_hash(), 16):#x}u, {zlib.crc32(name.encode()):#x}u, MEMBERS, "
         f"sizeof MEMBERS / sizeof *MEMBERS, 0}}, adaptrack_{begin}, adaptrack_{step}}},\n"
@@ -112,11 +112,11 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
         (work / "units.c").write_text(units_header())
         (work / "kernels.o").write_bytes(kernels)
         (work / "exports").write_text(EXPORTS)
-        names = [each.name for each in SOURCES if each.suffix == ".c"]
-        options = [each.format(exports="exports") for each in system.options]
+        names = [source.name for source in SOURCES if source.suffix == ".c"]
+        options = [option.format(exports="exports") for option in system.options]
         if "ziglang" in command:  # without a library it has no headers of one either
-            options = [each for each in options if each != "-nostdlib"]
-        given = [
+            options = [option for option in options if option != "-nostdlib"]
+        arguments = [
             *command,
             *FLAGS,
             *options,
@@ -128,9 +128,9 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
             f"made.{system.ending}",
             "-s",
         ]
-        done = subprocess.run(given, cwd=work, capture_output=True, text=True)
-        if done.returncode != 0:
-            raise InvalidInput(f"{' '.join(given)}: {done.stderr}")
+        process = subprocess.run(arguments, cwd=work, capture_output=True, text=True)
+        if process.returncode != 0:
+            raise InvalidInput(f"{' '.join(arguments)}: {process.stderr}")
         return (work / f"made.{system.ending}").read_bytes()
 
 
@@ -151,7 +151,7 @@ def build() -> None:
     The kernels for this system are compiled where they are missing.
     """
     BUILT.mkdir(exist_ok=True)
-    made: dict[str, Any] = {}
+    binaries: dict[str, Any] = {}
     native = "windows" if sys.platform == "win32" else "linux"
     for name, system in SYSTEMS.items():
         command = compiler(system)
@@ -165,12 +165,12 @@ def build() -> None:
             continue
         content = linked(system, kernels.read_bytes(), command)
         write_atomically(BUILT / f"fmu-{name}.{system.ending}", content)
-        made[name] = {"sha256": hashlib.sha256(content).hexdigest()}
+        binaries[name] = {"sha256": hashlib.sha256(content).hexdigest()}
         _say(f"{len(content) // 1000} kB, by {command[0]}", name)
-    if not made:
+    if not binaries:
         return
-    whole = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": made}
-    write_atomically(BUILT / MANIFEST, json.dumps(whole, indent=1).encode())
+    manifest = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": binaries}
+    write_atomically(BUILT / MANIFEST, json.dumps(manifest, indent=1).encode())
 
 
 def _say(text: str, name: str) -> None:
@@ -179,7 +179,7 @@ def _say(text: str, name: str) -> None:
 
 def sources_hash() -> str:
     """SHA-256 of the C sources."""
-    return hashlib.sha256(b"".join(each.read_bytes() for each in SOURCES)).hexdigest()
+    return hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES)).hexdigest()
 
 
 if __name__ == "__main__":

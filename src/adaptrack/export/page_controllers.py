@@ -81,16 +81,18 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
     all that is not of car or drive), ``remembered`` (instants whose samples are kept) and ``plants``, the names of the
     functions for each answer of ``plant_law``.
     """
-    known, car = load_profile(profile), _any_car()
-    world = World.of(DualTrack(car), MPC(car, profile=known), known, None, None, None)
+    profile_world, car = load_profile(profile), _any_car()
+    world = World.of(DualTrack(car), MPC(car, profile=profile_world), profile_world, None, None, None)
     settings = world.settings(1)._asdict()
     theirs = (*OF_THE_DRIVE, "failure_distance", *(key for key in settings if key.startswith("steering_")))
     for key in (*theirs, *world.plant.powertrain):
         del settings[key]
-    plants = [{what: f"dual_track_{tyre}_{what}" for what in ("advance", "observe")} for tyre in TYRE_NAMES.values()]
+    plants = [
+        {member: f"dual_track_{tyre}_{member}" for member in ("advance", "observe")} for tyre in TYRE_NAMES.values()
+    ]
     return {
-        "period": known.period, "delay": known.delay, "actuator": known.steering.model_dump(), "settings": settings,
-        "remembered": world.remembered, "plants": plants,
+        "period": profile_world.period, "delay": profile_world.delay, "actuator": profile_world.steering.model_dump(),
+        "settings": settings, "remembered": world.remembered, "plants": plants,
     }  # fmt: skip
 
 
@@ -99,20 +101,20 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
 
     preview: whether the reference is known ahead; None: as the profile says.
     """
-    known = load_profile(profile)
-    preview = known.preview if preview is None else preview
+    world = load_profile(profile)
+    preview = world.preview if preview is None else preview
     if kind in MADE_BY:
-        return _law_numbers(kind, known, preview)
+        return _law_numbers(kind, world, preview)
     car = _any_car()
     if kind == "published":
-        mpc = published_mpc(car, period=known.period, preview=preview)
+        mpc = published_mpc(car, period=world.period, preview=preview)
         return {"settings": _others(mpc, _WRITTEN), "functions": _functions(mpc)}
     if kind not in INFORMED:
         kinds = (*INFORMED, "published", *MADE_BY)
         raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
     learning: Any = Learning() if kind == "learning" else "auto"
-    order, *_ = order_of(car, known, (None, None, learning), None, None, preview)
-    mpc = MPC(car, profile=known, learning=learning, preview=preview)
+    order, *_ = order_of(car, world, (None, None, learning), None, None, preview)
+    mpc = MPC(car, profile=world, learning=learning, preview=preview)
     left = _row(order)
     for part in OF_THE_CAR:
         del left[part]
@@ -146,16 +148,19 @@ def _name(function: Any) -> str | None:
 
 def _law_numbers(kind: str, profile: Profile, preview: bool) -> dict[str, Any]:
     law, kernel, size = MADE_BY[kind]
-    own: CompiledController = law(_any_car(), period=profile.period, preview=preview)
-    (low, high), (least, most) = own.limits.move, own.limits.angle
+    controller: CompiledController = law(_any_car(), period=profile.period, preview=preview)
+    (low, high), (least, most) = controller.limits.move, controller.limits.angle
     arguments = inspect.signature(law).parameters
-    tuning = {name: math.nan if arguments[name].default is None else own.tuning[name] for name in own.tuning_names}
+    tuning = {
+        name: math.nan if arguments[name].default is None else controller.tuning[name]
+        for name in controller.tuning_names
+    }
     return {
         "common": {
-            "period": own.period, "move_min": low, "move_max": high, "angle_min": least, "angle_max": most,
+            "period": controller.period, "move_min": low, "move_max": high, "angle_min": least, "angle_max": most,
         },
-        "tuning": tuning, "made_by": _name(kernel), "size": size, "function": _name(own.function),
-        "memory": own.memory_size, "diagnostics": list(own.diagnostic_names), "preview": preview,
+        "tuning": tuning, "made_by": _name(kernel), "size": size, "function": _name(controller.function),
+        "memory": controller.memory_size, "diagnostics": list(controller.diagnostic_names), "preview": preview,
     }  # fmt: skip
 
 

@@ -97,47 +97,50 @@ def _sizes() -> dict[str, int]:
 
 def _comfort() -> dict[str, float]:
     """What bounds a plan beside road and car (`core.planning.speed.Bounds`)."""
-    others = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
-    return {**Comfort().model_dump(), **others}
+    defaults = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
+    return {**Comfort().model_dump(), **defaults}
 
 
 def _straight() -> Road:
     return Road.from_segments([Line(length=10.0)])
 
 
-def _along(made: Road) -> dict[str, float]:
+def _along(road: Road) -> dict[str, float]:
     """What lies along a level road of one width, speed limit and friction."""
     names = ("width_left", "width_right", "friction")
-    limit = math.inf if made.speed_limit is None else float(made.speed_limit.value[0])
-    return {**{key: float(getattr(made, key).value[0]) for key in names}, "speed_limit": limit}
+    limit = math.inf if road.speed_limit is None else float(road.speed_limit.value[0])
+    return {**{key: float(getattr(road, key).value[0]) for key in names}, "speed_limit": limit}
 
 
 def _controller(kind: str, profile: str) -> dict[str, Any]:
     """The constants of a kind of controller in a profile, its schedule and the names of what it says."""
     base, _, scheduled = kind.partition("-")
     law = kind in ("pure-pursuit", "stanley", "lqr")
-    known = load_profile(profile)
-    if base == "published" and not math.isfinite(known.noise_vy):
+    world = load_profile(profile)
+    if base == "published" and not math.isfinite(world.noise_vy):
         return {
             "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
             "takes its state as it is measured: choose a controller that knows its car."
         }
     plain = kind if law else base
-    made, numbers = controller_of({"kind": plain}, load_vehicle("paper"), known), controller_numbers(plain, profile)
+    controller, numbers = (
+        controller_of({"kind": plain}, load_vehicle("paper"), world),
+        controller_numbers(plain, profile),
+    )
     return {
         **numbers, "words": KINDS[kind], "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
-        "diagnostics": list(made.diagnostic_names), "tuning_names": list(made.tuning_names),
-        "usual": dict(zip(made.tuning_names, made.packed_tuning().tolist(), strict=True)),
+        "diagnostics": list(controller.diagnostic_names), "tuning_names": list(controller.tuning_names),
+        "usual": dict(zip(controller.tuning_names, controller.packed_tuning().tolist(), strict=True)),
     }  # fmt: skip
 
 
 def _road(name: str) -> dict[str, Any]:
-    made = page_road(name)
-    packed_road = pack_roads([made])
+    road = page_road(name)
+    packed_road = pack_roads([road])
     return {
         "numbers": packed(packed_road.numbers[0]), "start": packed(packed_road.start),
-        "pieces": packed(packed_road.pieces), "closed": made.closed, "length": made.length,
-        "generated": GENERATED.get(name), **_along(made),
+        "pieces": packed(packed_road.pieces), "closed": road.closed, "length": road.length,
+        "generated": GENERATED.get(name), **_along(road),
     }  # fmt: skip
 
 

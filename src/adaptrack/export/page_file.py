@@ -114,7 +114,7 @@ def export_page(
         "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
         "profile": _known("profile", profile, list_profiles()),
         "seed": seed,
-        "controllers": [{"kind": _known("controller", each, KINDS)} for each in controllers],
+        "controllers": [{"kind": _known("controller", controller, KINDS)} for controller in controllers],
     }
     return write_page(file, setup)
 
@@ -122,8 +122,8 @@ def export_page(
 def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
     if isinstance(vehicle, str) and vehicle in list_vehicles():
         return {"name": vehicle}
-    known = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
-    return {"file": page_car(known)}
+    car = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+    return {"file": page_car(car)}
 
 
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
@@ -139,9 +139,9 @@ def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     return {"points": points.tolist(), "closed": bool(closed), "name": name}
 
 
-def _known(what: str, name: str, names: Iterable[str]) -> str:
+def _known(kind: str, name: str, names: Iterable[str]) -> str:
     if name not in names:
-        raise UnknownName(f"export_page: the page has no {what} {name!r}. {did_you_mean(name, names)}")
+        raise UnknownName(f"export_page: the page has no {kind} {name!r}. {did_you_mean(name, names)}")
     return name
 
 
@@ -153,8 +153,8 @@ def page_parts() -> PageParts:
     InvalidInput
         Where the kernels for WebAssembly are not there.
     """
-    others = {each.name for each in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
-    page = (*FIRST, *sorted(others), *LAST)
+    remaining = {path.name for path in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
+    page = (*FIRST, *sorted(remaining), *LAST)
     css = _text("viewer.css") + _text("page.css")
     with _quiet():
         data = page_data()
@@ -201,9 +201,9 @@ def page_html(parts: PageParts, setup: Mapping[str, Any] | None = None) -> str:
         "data": json.dumps(data, separators=(",", ":"), allow_nan=False).encode(),
     }  # fmt: skip
     carried = "".join(
-        f'<script type="application/gzip" id="part-{name}">{base64.b64encode(gzip.compress(each, 9, mtime=0)).decode()}'
-        "</script>\n"
-        for name, each in packed.items()
+        f'<script type="application/gzip" id="part-{name}">'
+        f"{base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()}</script>\n"
+        for name, content in packed.items()
     )
     html = _once(parts.html, "<head>", f'<head>\n<meta http-equiv="Content-Security-Policy" content="{policy(parts)}">')
     html = _once(html, "</head>", f"<style>\n{parts.css}</style>\n</head>")
@@ -225,7 +225,7 @@ def _together(names: tuple[str, ...]) -> str:
     return f'\n(() => {{\n"use strict";\n{files}}})();\n'
 
 
-def _once(text: str, found: str, put: str) -> str:
+def _once(text: str, marker: str, put: str) -> str:
     """The text with the one place of a tag written anew."""
-    before, _, behind = text.partition(found)
+    before, _, behind = text.partition(marker)
     return f"{before}{put}{behind}"

@@ -61,7 +61,7 @@ def car_fields() -> dict[str, Any]:
     ``tyre``: of the car of a data sheet, as in `page_car`. ``sheet``: ranges of mass (kg) and wheelbase (m), body
     styles. ``points``: how a road is given. ``drive``: `DRIVE`. ``answers``: `ANSWERS`.
     """
-    sections = {name: [_field(name, key, each) for key, each in kind.model_fields.items() if not _is_section(each)]
+    sections = {name: [_field(name, key, field) for key, field in kind.model_fields.items() if not _is_section(field)]
                 for name, kind in SECTIONS.items()}  # fmt: skip
     return {
         "sections": sections,
@@ -100,9 +100,9 @@ def _tyre(tyre: Tyre) -> dict[str, Any]:
 def plain(value: Any) -> Any:
     """Data as JSON has it: lists for tuples, text for numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: plain(each) for key, each in value.items()}
+        return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
     return value.item() if isinstance(value, np.generic) else value
@@ -123,19 +123,19 @@ def _field(section: str, key: str, field: FieldInfo) -> dict[str, Any]:
     kinds = [kind for kind in typing.get_args(field.annotation) if kind is not type(None)]
     kind = field.annotation if field.annotation in (str, float) or len(kinds) != 1 else kinds[0]
     meaning, default = field.description or "", field.get_default(call_default_factory=True)
-    made = {
+    description = {
         "key": key, "kind": _kind(field.annotation, kind), "row": _ROWS.get((section, key), key),
         "meaning": meaning, "allowed": allowed(field),
         "required": field.is_required() and key != "name",
         "default": None if field.is_required() or default is None else plain(default),
         "bounds": {
-            bound: getattr(each, bound) for bound in _BOUNDS for each in field.metadata
-            if getattr(each, bound, None) is not None
+            bound: getattr(constraint, bound) for bound in _BOUNDS for constraint in field.metadata
+            if getattr(constraint, bound, None) is not None
         },
     }  # fmt: skip
-    if made["kind"] == "choice":
-        made["words"] = list(typing.get_args(field.annotation))
-    return made
+    if description["kind"] == "choice":
+        description["words"] = list(typing.get_args(field.annotation))
+    return description
 
 
 def _kind(annotation: Any, kind: Any) -> str:

@@ -31,42 +31,42 @@ def name_of(kind: Any) -> str:
 
 def layouts(kinds: Iterable[Any]) -> dict[str, Any]:
     """The layouts of records and of all that lie in them, by `name_of`."""
-    found: dict[str, Any] = {}
+    records: dict[str, Any] = {}
     for kind in kinds:
-        _add(kind, found)
-    return found
+        _add(kind, records)
+    return records
 
 
-def _add(kind: Any, found: dict[str, Any]) -> int:
+def _add(kind: Any, records: dict[str, Any]) -> int:
     """Words of a record, whose layout is then known."""
     name = name_of(kind)
-    if name in found:
-        return int(found[name]["words"])
+    if name in records:
+        return int(records[name]["words"])
     place, fields = 0, {}
-    for field, given in kind.kinds.items():
-        letter, more, words = _field(given, found)
-        fields[field] = [place, letter] if more is None else [place, letter, more]
+    for field, field_kind in kind.kinds.items():
+        letter, nested, words = _field(field_kind, records)
+        fields[field] = [place, letter] if nested is None else [place, letter, nested]
         place += words
-    found[name] = {"words": place, "fields": fields}
+    records[name] = {"words": place, "fields": fields}
     return place
 
 
-def _field(kind: Any, found: dict[str, Any]) -> tuple[str, Any, int]:
+def _field(kind: Any, records: dict[str, Any]) -> tuple[str, Any, int]:
     """Letter, further say and words of a field."""
     if isinstance(kind, tuple):
         of, *shape = kind
         count = math.prod(shape)
         if isinstance(of, Number):
             return "W", count, count
-        return "S", [name_of(of), count], count * _add(of, found)
+        return "S", [name_of(of), count], count * _add(of, records)
     if isinstance(kind, Number):
         return _LETTERS[kind.name], None, 1
     if isinstance(kind, Array):
         if isinstance(kind.of, Number):
             return _LETTERS[kind.of.name].upper(), kind.ndim, 1 + kind.ndim
-        _add(kind.of, found)
+        _add(kind.of, records)
         return "R", name_of(kind.of), 2
-    return "r", name_of(kind), _add(kind, found)
+    return "r", name_of(kind), _add(kind, records)
 
 
 def calls(names: Iterable[str]) -> dict[str, list[str]]:
@@ -75,20 +75,20 @@ def calls(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def _call(signature: Any) -> list[str]:
-    taken = "".join(
-        _LETTERS[each.name] if isinstance(each, Number) else str(each.ndim) if isinstance(each, Array) else "r"
-        for each in signature.types
+    letters = "".join(
+        _LETTERS[kind.name] if isinstance(kind, Number) else str(kind.ndim) if isinstance(kind, Array) else "r"
+        for kind in signature.types
     )
-    return [taken, "".join(_LETTERS[each.name] for each in signature.returns)]
+    return [letters, "".join(_LETTERS[kind.name] for kind in signature.returns)]
 
 
 # -- values -----------------------------------------------------------------------------------------------------------
 def packed(values: Any) -> dict[str, Any]:
     """An array for JSON: its bytes in base64, and its shape; of whole numbers as such."""
     array = np.ascontiguousarray(values)
-    whole = array.dtype.kind in "iub"
-    content = array.astype(np.int64 if whole else np.float64, copy=False)
-    return {"i8" if whole else "f8": base64.b64encode(content.tobytes()).decode(), "shape": list(array.shape)}
+    is_integer = array.dtype.kind in "iub"
+    content = array.astype(np.int64 if is_integer else np.float64, copy=False)
+    return {"i8" if is_integer else "f8": base64.b64encode(content.tobytes()).decode(), "shape": list(array.shape)}
 
 
 def image(record: Any) -> dict[str, Any]:

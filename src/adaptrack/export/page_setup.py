@@ -57,53 +57,55 @@ ROADS = (*GENERATED, "oval")
 @cache
 def page_road(name: str) -> Road:
     """A ready-made road of the page."""
-    made = generate_road(name, length=GENERATED[name]) if name in GENERATED else _oval()
-    return made.replace(name=name)
+    road = generate_road(name, length=GENERATED[name]) if name in GENERATED else _oval()
+    return road.replace(name=name)
 
 
 def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
     """The drives of a setup, one for each controller."""
     car, profile = car_of(setup["car"]), load_profile(setup["profile"])
     drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
-    found = []
-    for each in setup["controllers"]:
-        known = at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if each.get("knows") == "sheet" else car
-        batch = Batch(DualTrack(car), controller_of(each, known, profile), [drive], world)
-        found += rollouts(batch, (int(setup.get("seed", 0)),), threads=1)[0]
-    return found
+    runs = []
+    for controller in setup["controllers"]:
+        model_car = (
+            at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if controller.get("knows") == "sheet" else car
+        )
+        batch = Batch(DualTrack(car), controller_of(controller, model_car, profile), [drive], world)
+        runs += rollouts(batch, (int(setup.get("seed", 0)),), threads=1)[0]
+    return runs
 
 
-def car_of(given: Mapping[str, Any]) -> Vehicle:
+def car_of(setup: Mapping[str, Any]) -> Vehicle:
     """The car of a setup."""
-    if "name" in given:
-        return at.load_vehicle(given["name"])
-    if "sheet" in given:
-        return at.vehicle_from_data_sheet("sheet", **given["sheet"])
-    file = given["file"]
+    if "name" in setup:
+        return at.load_vehicle(setup["name"])
+    if "sheet" in setup:
+        return at.vehicle_from_data_sheet("sheet", **setup["sheet"])
+    file = setup["file"]
     sections = {key: file.get(key) for key in ("steering", "body", "known_within", "domain") if file.get(key)}
     return Vehicle(name=file.get("name", "file"), tyre=file["tyre"]["name"], **file["numbers"], **sections)
 
 
-def road_of(given: Mapping[str, Any]) -> Road:
+def road_of(setup: Mapping[str, Any]) -> Road:
     """The road of a setup."""
-    if "name" in given and "points" not in given:
-        return page_road(given["name"])
-    return road_through(np.array(given["points"], float), closed=bool(given.get("closed")))
+    if "name" in setup and "points" not in setup:
+        return page_road(setup["name"])
+    return road_through(np.array(setup["points"], float), closed=bool(setup.get("closed")))
 
 
 def drive_of(setup: Mapping[str, Any], car: Vehicle) -> RoadDrive | Scenario:
     """What is driven: a road at a speed, or one of the paper's tests; friction and wind as they truly are."""
-    truth, given = setup.get("truth") or {}, setup["road"]
+    truth, road_setup = setup.get("truth") or {}, setup["road"]
     friction, wind = truth.get("friction"), truth.get("wind")
-    if "test" in given:
-        scenario = at.load_scenario(given["test"])
+    if "test" in road_setup:
+        scenario = at.load_scenario(road_setup["test"])
         changes: dict[str, Any] = {} if friction is None else {"friction": friction}
         changes |= {} if wind is None else {"wind": wind, "wind_gain": 1.0}
         return scenario.replace(**changes) if changes else scenario
-    road, speed = road_of(given), setup["speed"]
+    road, speed = road_of(road_setup), setup["speed"]
     plan = speed["constant"] if "constant" in speed else plan_speed(road, car, Comfort(lateral=speed["lateral"]))
-    driven = RoadDrive(road if friction is None else road.replace(friction=friction), plan, wind=wind or 0.0)
-    return driven.replace(laps=max(1, math.floor(AN_HOUR / driven.duration))) if road.closed else driven
+    drive = RoadDrive(road if friction is None else road.replace(friction=friction), plan, wind=wind or 0.0)
+    return drive.replace(laps=max(1, math.floor(AN_HOUR / drive.duration))) if road.closed else drive
 
 
 def world_of(profile: Profile, truth: Mapping[str, Any]) -> Profile:
@@ -117,10 +119,10 @@ def world_of(profile: Profile, truth: Mapping[str, Any]) -> Profile:
     return profile.replace(steering=profile.steering.replace(**steering), **changed)
 
 
-def controller_of(given: Mapping[str, Any], car: Vehicle, profile: Profile) -> Controller:
+def controller_of(setup: Mapping[str, Any], car: Vehicle, profile: Profile) -> Controller:
     """A controller of a setup, for a car in a profile."""
-    kind, loop = given["kind"], {"period": profile.period, "preview": profile.preview}
-    entries, believed = given.get("tuning"), given.get("belief")
+    kind, loop = setup["kind"], {"period": profile.period, "preview": profile.preview}
+    entries, believed = setup.get("tuning"), setup.get("belief")
     tuning = None if entries is None else Tuning(**{**entries, "Np": int(entries["Np"]), "Nc": int(entries["Nc"])})
     laws = {"pure-pursuit": PurePursuit, "stanley": Stanley, "lqr": LQR}
     if kind in laws:
@@ -129,8 +131,8 @@ def controller_of(given: Mapping[str, Any], car: Vehicle, profile: Profile) -> C
     if kind.startswith("published"):
         scheduler = load_scheduler(f"road-{scheduled}") if scheduled else None
         return published_mpc(car, tuning, scheduler=scheduler, **loop)
-    said = {name: value for name, value in (believed or {}).items() if value is not None}
-    options: dict[str, Any] = {"belief": at.Steering(**said)} if said else {}
+    steering = {name: value for name, value in (believed or {}).items() if value is not None}
+    options: dict[str, Any] = {"belief": at.Steering(**steering)} if steering else {}
     if kind == "learning":
         options["learning"] = Learning()
     elif kind != "informed":

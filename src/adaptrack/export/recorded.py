@@ -252,18 +252,18 @@ class _Driver(Controller):
     def step(
         self, state: Any, speed: float, reference: Any, variables: Any = None, road: RoadAhead | None = None
     ) -> float:
-        now, measured = self._instant * self.period, np.asarray(state, dtype=float)
+        time, measured = self._instant * self.period, np.asarray(state, dtype=float)
         assert road is not None
         age = float(measured[MEASURED.pose_age])
         age = age if math.isfinite(age) else 0.0
         foot = road.road.at(road.station - age * speed)
         offset, yaw = float(measured[MEASURED.y]), float(foot.heading) + float(measured[MEASURED.yaw])
         x, y = float(foot.x) - offset * math.sin(foot.heading), float(foot.y) + offset * math.cos(foot.heading)
-        rest = [float(measured[i]) for i in (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration)]
+        signals = [float(measured[i]) for i in (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration)]
         sample = np.full(len(CALL), math.nan)
-        sample[: CALL.friction] = now - age, now, x, y, yaw, speed, *rest, measured[MEASURED.wheel_angle]
+        sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASURED.wheel_angle]
         self._instant += 1
-        return self.call(sample) if now < self._seconds else 0.0
+        return self.call(sample) if time < self._seconds else 0.0
 
     def call(self, sample: Array) -> float:
         """Keep a call, and return its command (rad)."""

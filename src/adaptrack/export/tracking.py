@@ -91,15 +91,15 @@ def room_of(controller: MPC, room: Room | None = None) -> Room:
     needed = [(tuning.Np, tuning.Nc)]
     if isinstance(controller.scheduler, CompiledScheduler):
         needed.append(controller.scheduler.largest)
-    least = max(each for each, _ in needed), max(each for _, each in needed)
+    least = max(value for value, _ in needed), max(value for _, value in needed)
     most = controller.longest_horizon, controller.most_moves
-    found = (min(least[0], most[0]), min(least[1], most[1])) if room is None else room
+    horizons = (min(least[0], most[0]), min(least[1], most[1])) if room is None else room
     if room is not None and not (least[0] <= room[0] <= most[0] and least[1] <= room[1] <= most[1]):
         raise InvalidInput(
             f"export: room for Np = {room[0]}, Nc = {room[1]}: must be between {least} of the tuning and {most} of the "
             "controller (longest_horizon, most_moves)."
         )
-    return found
+    return horizons
 
 
 def tracking_block(controller: Any, room: Room | None = None, furthest: float = 10.0) -> Block:

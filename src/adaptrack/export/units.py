@@ -77,25 +77,27 @@ class Unit:
     @property
     def period(self) -> float:
         """s, of a step."""
-        return next(each.start for each in self.values if each.name == "period")
+        return next(value.start for value in self.values if value.name == "period")
 
 
-def described(module: str, groups: Mapping[int, tuple[str, ...]], given: Mapping[str, tuple[float, ...]]) -> Any:
+def described(module: str, groups: Mapping[int, tuple[str, ...]], starts: Mapping[str, tuple[float, ...]]) -> Any:
     """The values of a unit in the words of its kernel's file; whole numbers are those that say nothing of a unit.
 
     groups: names of the constants, parameters, inputs and outputs by their role (`CONSTANT`, `PARAMETER`, `INPUT`, 0);
     given: start, least and most where they are not 0 and no limit.
     """
     words = {name: text for _, fields in remarks(module).values() for name, text in fields.items()}
-    found = []
+    variables = []
     for role, names in groups.items():
         for name in names:
             match = _UNIT.match(words.get(name, ""))
             unit = match["unit"] if match else ""
             kind = TRUTH if unit == "true" else REAL if match else WHOLE
             text = words.get(name, "")[match.end() if match and unit != "true" else 0 :]
-            found.append(Value(name, kind | role, "" if unit in ("-", "true") else unit, text, *given.get(name, ())))
-    return tuple(found)
+            variables.append(
+                Value(name, kind | role, "" if unit in ("-", "true") else unit, text, *starts.get(name, ()))
+            )
+    return tuple(variables)
 
 
 @checked
@@ -130,13 +132,15 @@ def car_unit(
     motion = np.array([*pose, speed, 0.0, 0.0])
     vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), world.plant.initial_state(motion)[None])  # type: ignore[union-attr]
     place(1, vehicles.start, vehicles.block, vehicles.states)
-    given = Given(np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64))
-    loop = world.loop(given, vehicles, world.settings(world.substeps(fastest)), variables=False)
+    inputs = Given(
+        np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64)
+    )
+    loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), variables=False)
     starts = {
         "period": (world.period,), "speed_preview": (ahead,), "seed": (0.0, 0.0, LARGEST_SEED),
         "parallel_exchange": (0.0, 0.0, 1.0), "start_speed": (speed, 0.0, 100.0), "command": (0.0, -math.pi, math.pi),
         "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
-        **dict(zip(("start_x", "start_y", "start_yaw"), ((each, -1e8, 1e8) for each in pose), strict=True)),
+        **dict(zip(("start_x", "start_y", "start_yaw"), ((coordinate, -1e8, 1e8) for coordinate in pose), strict=True)),
         "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
         **{name: (0.9, 1e-3, 3.0) for name in car.INPUTS if name.startswith("friction")},
         **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
@@ -152,7 +156,7 @@ def car_unit(
 
 @checked
 def controller_unit(
-    made: Controller,
+    built_controller: Controller,
     path: Road,
     plan: SpeedPlan | None = None,
     *,
@@ -169,13 +173,14 @@ def controller_unit(
     InvalidInput
         When the controller, or a part of it, is not compiled ahead of time.
     """
-    refuse(made)
-    tracking = small_record_of(made, path, plan, furthest)
+    refuse(built_controller)
+    tracking = small_record_of(built_controller, path, plan, furthest)
     first = 0.0 if plan is None else float(plan.speed[0])
-    ahead = made.period if speed_preview is None else speed_preview
-    expected = made.model.dead_time if isinstance(made, MPC) else 0.0
+    ahead = built_controller.period if speed_preview is None else speed_preview
+    expected = built_controller.model.dead_time if isinstance(built_controller, MPC) else 0.0
     starts = {
-        "period": (made.period,), "expected_delay": (expected,), "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
+        "period": (built_controller.period,), "expected_delay": (expected,),
+        "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
         "speed_preview": (ahead, 0.0, 10.0), "pose_known": (1.0,), "yaw_rate_known": (1.0,),
         **dict.fromkeys(("planned_speed", "planned_speed_ahead"), (first,)),
     }  # fmt: skip
@@ -184,10 +189,10 @@ def controller_unit(
         0: controller.OUTPUTS,
     }  # fmt: skip
     values = described(controller.__name__, groups, starts)
-    kind = controller.Steering if isinstance(made, MPC) else controller.LawSteering
+    kind = controller.Steering if isinstance(built_controller, MPC) else controller.LawSteering
     roles = {f"tracking.{name}": role for name, role in ROLES.items()}
     roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), Role.FIXED)
-    title = f"controller {made.name} on {path.name}"
+    title = f"controller {built_controller.name} on {path.name}"
     return Unit("controller", title, kind(*_columns(values), tracking=tracking), values, FIXED | roles)
 
 
@@ -197,15 +202,15 @@ FIXED = dict.fromkeys(("kinds", "least", "most"), Role.FIXED)
 
 def _columns(values: tuple[Value, ...]) -> tuple[NDArray[Any], ...]:
     """Values, kinds, least and most as the kernels read them."""
-    kinds = np.array([each.kind for each in values], np.int64)
-    return (np.array([each.start for each in values]), kinds, np.array([each.least for each in values]),
-            np.array([each.most for each in values]))  # fmt: skip
+    kinds = np.array([value.kind for value in values], np.int64)
+    return (np.array([value.start for value in values]), kinds, np.array([value.least for value in values]),
+            np.array([value.most for value in values]))  # fmt: skip
 
 
 def _world(plant: Plant, profile: str | Profile, driver: Driver | None, period: float | None) -> World:
     """The world of a car alone: it has no reference, from which it could come away."""
-    known = load_profile(profile)
+    world = load_profile(profile)
     if getattr(plant, "steering", None) is None:
-        plant = plant.with_steering(known.steering)
+        plant = plant.with_steering(world.steering)
     rule = Failure(distance=math.inf, sideslip=Failure.of(plant).sideslip)
-    return World(plant, known, known.period if period is None else period, driver, None, rule)
+    return World(plant, world, world.period if period is None else period, driver, None, rule)

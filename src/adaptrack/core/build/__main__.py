@@ -20,11 +20,11 @@ if __name__ == "__main__":
     from .exports import EXPORTS, archive
     from .library import build
 
-    given, _, folder = " ".join(sys.argv[1:]).partition("--archive")
-    given, _, exports = given.partition("--export")
+    arguments, _, folder = " ".join(sys.argv[1:]).partition("--archive")
+    arguments, _, exports = arguments.partition("--export")
     try:
-        names = [each for each in given.split() if each != "--portable"]
-        build(names, "--portable" in given, list(EXPORTS) if "all" in exports.split() else exports.split())
+        names = [argument for argument in arguments.split() if argument != "--portable"]
+        build(names, "--portable" in arguments, list(EXPORTS) if "all" in exports.split() else exports.split())
         if folder:
             print(archive(Path(folder.strip())))
     except (BuildError, OSError) as error:

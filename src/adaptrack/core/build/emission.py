@@ -89,9 +89,9 @@ def with_soft(text: str, target: Target, linkage: str, inlined: bool = False) ->
     them, which takes a quarter of the time and half of the code more.
     """
     for name in target.lacks:
-        taken, own = SOFT[name], f"soft_{name}"
+        n_arguments, symbol = SOFT[name], f"soft_{name}"
         if name == "fma" and "sqrt" in target.lacks:
-            own = "whole_fma"
+            symbol = "whole_fma"
         elif name == "fma":
             text = text.replace("call double @llvm.fma.f64(", "call double @adaptrack_soft_fma(")
             text = text.replace("call <8 x double> @llvm.fma.v8f64(", "call <8 x double> @soft_fma8(")
@@ -99,11 +99,11 @@ def with_soft(text: str, target: Target, linkage: str, inlined: bool = False) ->
                 text += _FMA8.replace(") {", ") alwaysinline {" if inlined else ") noinline {")
             text = re.sub(r"^(define .*careful_fma.*) \{$", r"\1 noinline cold {", text, flags=re.MULTILINE)
             text = re.sub(r"^(define .*@adaptrack_soft_fma\(.*) \{$", r"\1 noinline {", text, flags=re.MULTILINE)
-        if f"@adaptrack_{own}(" not in text:
-            text += f"declare double @adaptrack_{own}({', '.join(['double'] * taken)})\n"
-        given = ", ".join(f"double %x{i}" for i in range(taken))
-        text += f"define {linkage} double @{name}({given}) noinline {{\n"
-        text += f"  %y = call double @adaptrack_{own}({given})\n  ret double %y\n}}\n"
+        if f"@adaptrack_{symbol}(" not in text:
+            text += f"declare double @adaptrack_{symbol}({', '.join(['double'] * n_arguments)})\n"
+        parameters = ", ".join(f"double %x{i}" for i in range(n_arguments))
+        text += f"define {linkage} double @{name}({parameters}) noinline {{\n"
+        text += f"  %y = call double @adaptrack_{symbol}({parameters})\n  ret double %y\n}}\n"
     return text
 
 

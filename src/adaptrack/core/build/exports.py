@@ -99,17 +99,17 @@ def archive(folder: Path) -> Path:
 
     The same object files give the same bytes.
     """
-    named = f"adaptrack-targets-{version('adaptrack')}"
+    stem = f"adaptrack-targets-{version('adaptrack')}"
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{named}.tar.gz"
+    path = folder / f"{stem}.tar.gz"
     listed = library.manifest()
     entries = {name: listed["exports"][name] for name in EXPORTS if name in listed["exports"]}
-    files = {each["file"]: library.whole(each).read_bytes() for each in entries.values()}
+    files = {entry["file"]: library.whole(entry).read_bytes() for entry in entries.values()}
     files[library.MANIFEST] = json.dumps({"sources": listed["sources"], "exports": entries}, indent=1).encode()
     files["LICENSE"] = (library.PACKAGE.parents[1] / "LICENSE").read_bytes()
     with gzip.GzipFile(path, "wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as tar:
         for name, content in sorted(files.items()):
-            entry = tarfile.TarInfo(f"{named}/{name}")
+            entry = tarfile.TarInfo(f"{stem}/{name}")
             entry.size, entry.mode = len(content), 0o644
             tar.addfile(entry, io.BytesIO(content))
     return path
@@ -126,7 +126,7 @@ def emit_export(text: str, name: str) -> bytes:
     module = _of_these(text, chosen, machine)
     optimised(module, machine, speed=2 if chosen.compact else 3, vectors=not chosen.compact)
     content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(str(module), target))))
-    left = [each for each in undefined(content) if each not in chosen.calls]
+    left = [symbol for symbol in undefined(content) if symbol not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
     return linked(content) if chosen.whole else content
@@ -144,8 +144,8 @@ def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
     text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
     text = with_soft(text, target, "internal", inlined=chosen.whole)
     if target.lacks:
-        kept = ", ".join(f"ptr @{each}" for each in target.lacks)
-        text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept}]"
+        kept_symbols = ", ".join(f"ptr @{symbol}" for symbol in target.lacks)
+        text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept_symbols}]"
         text += ', section "llvm.metadata"\n'
     attributes = '"no-builtins" "no-jump-tables"="true" nounwind' + (" optsize" if chosen.compact else "")
     if "windows" in target.triple:
@@ -153,7 +153,7 @@ def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
         text += re.sub(r"module asm \"\.globl.*\n", "", WINDOWS.split("@_fltused")[0]).replace(
             "__chkstk", "adaptrack_grow_stack")  # fmt: skip
     module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", rf"\1 {attributes} {{", text, flags=re.MULTILINE))
-    names = {f"adaptrack_{each}" for each in chosen.kernels}
+    names = {f"adaptrack_{kernel}" for kernel in chosen.kernels}
     for function in module.functions:
         if not function.is_declaration:
             function.linkage = "external" if function.name in names else "internal"
@@ -169,23 +169,24 @@ def _in_sections(text: str, target: Target) -> str:
     """A module with a section for each function and constant; for WebAssembly and macOS they are apart as they are."""
     if re.search("wasm|macosx", target.triple):
         return text
-    apart = "$" if "windows" in target.triple else "."
+    separator = "$" if "windows" in target.triple else "."
     names: set[str] = set()
 
-    def placed(found: re.Match[str], kind: str, comdat: str) -> str:
-        names.add(found["name"])
-        named = found["name"].strip('"')
+    def placed(match: re.Match[str], kind: str, comdat: str) -> str:
+        names.add(match["name"])
+        symbol = match["name"].strip('"')
         comma = "," if kind != ".text" else ""
-        return f'{found["all"]}{comma} section "{kind}{apart}{named}"{comdat if apart == "$" else ""}{found["rest"]}'
+        section = f'section "{kind}{separator}{symbol}"{comdat if separator == "$" else ""}'
+        return f"{match['all']}{comma} {section}{match['rest']}"
 
     name = r'(?P<name>"[^"]+"|[-\w.$]+)'
     function = rf"^(?P<all>define [^@]*@{name}\(.*\).*?)(?P<rest>( personality.*)? \{{)$"
-    text = re.sub(function, lambda found: placed(found, ".text", " comdat"), text, flags=re.MULTILINE)
+    text = re.sub(function, lambda match: placed(match, ".text", " comdat"), text, flags=re.MULTILINE)
     words = "(?:local_unnamed_addr |unnamed_addr )*"
     constant = rf"^(?P<all>@{name} = (?:internal|private) {words}constant .*?)(?P<rest>(, align \d+)?)$"
-    kind = ".rdata" if apart == "$" else ".rodata"
-    text = re.sub(constant, lambda found: placed(found, kind, ", comdat"), text, flags=re.MULTILINE)
-    if apart == "$":
+    kind = ".rdata" if separator == "$" else ".rodata"
+    text = re.sub(constant, lambda match: placed(match, kind, ", comdat"), text, flags=re.MULTILINE)
+    if separator == "$":
         first = text.index("\n", text.index("target triple")) + 1
-        text = text[:first] + "".join(f"${each} = comdat nodeduplicate\n" for each in sorted(names)) + text[first:]
+        text = text[:first] + "".join(f"${name} = comdat nodeduplicate\n" for name in sorted(names)) + text[first:]
     return text

@@ -44,12 +44,12 @@ END = """
 
 def header(kernels: Iterable[Exported]) -> str:
     """The text of the header for these kernels."""
-    ordered = sorted(kernels, key=lambda each: (each.function.__module__, each.name))
+    ordered = sorted(kernels, key=lambda kernel: (kernel.function.__module__, kernel.name))
     records: dict[Any, str] = {}
     for kernel in ordered:
         for kind in kernel.signature.types:
             _collect(kind, records)
-    files = {each.function.__module__ for each in ordered} | {each.__module__ for each in records}
+    files = {entry.function.__module__ for entry in ordered} | {entry.__module__ for entry in records}
     modules = dict.fromkeys(sorted(files))
     places = [text for module in modules for text in _enumerations(module)]
     return "\n".join([BEGINNING, *places, *records.values(), *map(_prototype, ordered), END])
@@ -71,38 +71,38 @@ def remarks(module: str) -> dict[str, tuple[str, dict[str, str]]]:
         for node in statements
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
     }
-    found = {}
+    remarks_by_name = {}
     for node, after in zip(statements, [*statements[1:], None], strict=True):
-        made = node.value if isinstance(node, ast.Assign) else None
-        if isinstance(made, ast.Call) and isinstance(made.func, ast.Name) and made.func.id in ("record", "columns"):
-            fields = _fields(list(_texts(made, assigned)), comments)
-            said = after.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else None
+        value = node.value if isinstance(node, ast.Assign) else None
+        if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id in ("record", "columns"):
+            fields = _fields(list(_texts(value, assigned)), comments)
+            remark = after.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else None
             (target,) = node.targets  # type: ignore[attr-defined]
-            found[target.id] = (inspect.cleandoc(str(said.value)) if said else "", fields)
-    return found
+            remarks_by_name[target.id] = (inspect.cleandoc(str(remark.value)) if remark else "", fields)
+    return remarks_by_name
 
 
 def _fields(texts: list[Any], comments: dict[int, str]) -> dict[str, str]:
     """What the comment of its line says of each field; as many units as fields of a line are shared out."""
-    found = {}
+    remarks_by_field = {}
     for text in texts:
-        line = [each.value for each in texts if each.lineno == text.lineno]
+        line = [constant.value for constant in texts if constant.lineno == text.lineno]
         comment = comments.get(text.lineno, "")
-        units, colon, rest = comment.partition(":")
-        own = units.split(", ")
-        if len(line) > 1 and len(own) == len(line):
-            comment = own[line.index(text.value)] + colon + rest
-        found[text.value] = comment
-    return found
+        units, colon, meaning = comment.partition(":")
+        field_units = units.split(", ")
+        if len(line) > 1 and len(field_units) == len(line):
+            comment = field_units[line.index(text.value)] + colon + meaning
+        remarks_by_field[text.value] = comment
+    return remarks_by_field
 
 
 def _texts(node: ast.AST, assigned: dict[str, Any]) -> Iterator[Any]:
     """The strings of an expression, and of those that it names."""
-    for each in ast.walk(node):
-        if isinstance(each, ast.Constant) and isinstance(each.value, str):
-            yield each
-        elif isinstance(each, ast.Name) and isinstance(assigned.get(each.id), ast.Tuple | ast.List):
-            yield from _texts(assigned[each.id], {})
+    for child in ast.walk(node):
+        if isinstance(child, ast.Constant) and isinstance(child.value, str):
+            yield child
+        elif isinstance(child, ast.Name) and isinstance(assigned.get(child.id), ast.Tuple | ast.List):
+            yield from _texts(assigned[child.id], {})
 
 
 def _comment(text: str, indent: str = "") -> str:
@@ -113,14 +113,14 @@ def _comment(text: str, indent: str = "") -> str:
 # -- what is written --------------------------------------------------------------------------------------------------
 def _enumerations(module: str) -> Iterator[str]:
     """The columns that a file names, as places in rows."""
-    for name, (said, fields) in remarks(module).items():
+    for name, (remark, fields) in remarks(module).items():
         places = getattr(import_module(module), name)
         if type(places).__name__ == "Columns":
             prefix = f"{_c_name(module, name)}_".upper()
             lines = [
-                f"    {prefix}{each.upper()} = {i},{_after(fields, each)}\n" for i, each in enumerate(places._fields)
+                f"    {prefix}{field.upper()} = {i},{_after(fields, field)}\n" for i, field in enumerate(places._fields)
             ]
-            yield f"{_comment(said)}enum {{\n{''.join(lines)}}};\n"
+            yield f"{_comment(remark)}enum {{\n{''.join(lines)}}};\n"
 
 
 def _after(fields: dict[str, str], name: str) -> str:
@@ -140,13 +140,13 @@ def _collect(kind: Any, records: dict[Any, str]) -> None:
     kind = kind.of if isinstance(kind, Array | Row | Place) else kind[0] if type(kind) is tuple else kind
     if isinstance(kind, Number) or kind in records:
         return
-    for each in kind.kinds.values():
-        _collect(each, records)
+    for field_kind in kind.kinds.values():
+        _collect(field_kind, records)
     module = import_module(kind.__module__)
     name = next((name for name, value in vars(module).items() if value is kind), kind.__name__)
-    said, fields = remarks(kind.__module__).get(name, ("", {}))
-    lines = [f"    {_field(name, each)}{_after(fields, name)}\n" for name, each in kind.kinds.items()]
-    records[kind] = f"{_comment(said)}{_struct(kind)} {{\n{''.join(lines)}}};\n"
+    remark, fields = remarks(kind.__module__).get(name, ("", {}))
+    lines = [f"    {_field(name, field_kind)}{_after(fields, name)}\n" for name, field_kind in kind.kinds.items()]
+    records[kind] = f"{_comment(remark)}{_struct(kind)} {{\n{''.join(lines)}}};\n"
 
 
 def _type(kind: Any) -> str:
@@ -164,18 +164,18 @@ def _field(name: str, kind: Any) -> str:
 
 
 def _prototype(kernel: Exported) -> str:
-    given = []
+    arguments = []
     for name, kind in zip(inspect.signature(kernel.function).parameters, kernel.signature.types, strict=True):
         if isinstance(kind, Number):
-            given.append(f"{_type(kind)} {name}")
+            arguments.append(f"{_type(kind)} {name}")
         elif isinstance(kind, Array):
-            given += [f"{_type(kind.of)} *{name}", *(f"int64_t {name}_{i}" for i in range(kind.ndim))]
+            arguments += [f"{_type(kind.of)} *{name}", *(f"int64_t {name}_{i}" for i in range(kind.ndim))]
         else:
-            given.append(f"{_struct(kind.of)} *{name}")
+            arguments.append(f"{_struct(kind.of)} *{name}")
     returns = kernel.signature.returns
     if len(returns) > 1:
-        given.append(f"adaptrack_word answers[{len(returns)}]")
+        arguments.append(f"adaptrack_word answers[{len(returns)}]")
     returned = "void" if len(returns) > 1 or returns[0].name == "void" else _type(returns[0])
-    said = (inspect.getdoc(kernel.function) or "").split("\n\n")[0]
-    written = f"{returned} {PREFIX}{kernel.name}({', '.join(given) or 'void'});"
-    return _comment(said) + "\n    ".join(textwrap.wrap(written, 116, break_long_words=False)) + "\n"
+    summary = (inspect.getdoc(kernel.function) or "").split("\n\n")[0]
+    written = f"{returned} {PREFIX}{kernel.name}({', '.join(arguments) or 'void'});"
+    return _comment(summary) + "\n    ".join(textwrap.wrap(written, 116, break_long_words=False)) + "\n"

@@ -58,9 +58,9 @@ class _Stages:
         self._begin = time.monotonic()
 
     def done(self, text: str) -> None:
-        now = time.monotonic()
-        _say(f"  {now - self._begin:5.1f} s  {text}")
-        self._begin = now
+        time_now = time.monotonic()
+        _say(f"  {time_now - self._begin:5.1f} s  {text}")
+        self._begin = time_now
 
 
 def kernels_of(package: str = "adaptrack.core") -> dict[str, Any]:
@@ -135,8 +135,8 @@ def linker(target: Target) -> list[str] | None:
         names, options = ["ld64.lld"], ["-dylib", "-arch", target.triple.split("-")[0]]
         options += ["-platform_version", "macos", "11.0", "11.0", "-install_name", "kernels.dylib"]
     else:
-        own = target.triple.split("-")[0] == platform.machine()
-        names = ["ld", "ld.lld", "lld"] if own else ["ld.lld"]
+        is_native = target.triple.split("-")[0] == platform.machine()
+        names = ["ld", "ld.lld", "lld"] if is_native else ["ld.lld"]
         options = ["-shared", "--build-id=none", "-z", "noexecstack", "-z", "defs"]
     for name in names:
         if shutil.which(name):
@@ -155,9 +155,9 @@ def link(objects: Iterable[bytes], command: list[str]) -> bytes:
             names.append(str(Path(folder) / f"kernels{i}.o"))
             Path(names[-1]).write_bytes(content)
         to = [f"/out:{result}"] if "/dll" in command else ["-o", str(result)]
-        done = subprocess.run([*command, *to, *names], capture_output=True, text=True)
-        if done.returncode != 0:
-            raise BuildError(f"{' '.join(command)}: {done.stderr}")
+        process = subprocess.run([*command, *to, *names], capture_output=True, text=True)
+        if process.returncode != 0:
+            raise BuildError(f"{' '.join(command)}: {process.stderr}")
         return result.read_bytes()
 
 
@@ -201,26 +201,26 @@ def _put(path: Path, content: bytes) -> None:
 def of_this_kind() -> list[str]:
     """The names of all that a processor of this machine's kind may ask for when the library is loaded."""
     name = library.processor()
-    return [each for each in TARGETS if each.split("-v")[0] == name.split("-v")[0]] or [name]
+    return [target for target in TARGETS if target.split("-v")[0] == name.split("-v")[0]] or [name]
 
 
-def _listed(what: str) -> dict[str, dict[str, str]]:
+def _listed(section: str) -> dict[str, dict[str, str]]:
     """The ``libraries`` or the ``exports`` of the manifest that is there."""
     with suppress(*library.UNUSABLE):
-        return dict(library.manifest()[what])
+        return dict(library.manifest()[section])
     return {}
 
 
-def _built(what: str = "libraries") -> dict[str, dict[str, str]]:
+def _built(section: str = "libraries") -> dict[str, dict[str, str]]:
     """What is there of these sources, whole, by the names of the targets."""
-    found = {}
+    current = {}
     with suppress(*library.UNUSABLE):
         if library.manifest()["sources"] == library.source_hashes():
-            for name, entry in _listed(what).items():
+            for name, entry in _listed(section).items():
                 with suppress(*library.UNUSABLE):
                     library.whole(entry)
-                    found[name] = entry
-    return found
+                    current[name] = entry
+    return current
 
 
 @contextmanager
@@ -258,12 +258,14 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
 
 def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None:
     """Make those of the requested libraries and exports that are not there."""
-    jobs = [(what, name) for what, (_, wanted) in requested.items() for name in dict.fromkeys(wanted)
-            if name not in _built(what)]  # fmt: skip
+    jobs = [(section, name) for section, (_, names) in requested.items() for name in dict.fromkeys(names)
+            if name not in _built(section)]  # fmt: skip
     if not jobs:
         _say(f"The kernels are compiled already: {library.BUILT}")
         return
-    unknown = [f"{name} ({', '.join(requested[what][0])})" for what, name in jobs if name not in requested[what][0]]
+    unknown = [
+        f"{name} ({', '.join(requested[section][0])})" for section, name in jobs if name not in requested[section][0]
+    ]
     if unknown:
         raise BuildError(f"no such processor: {'; '.join(unknown)}.")
     _say(f"Compiling the kernels for {', '.join(name for _, name in jobs)}")
@@ -272,18 +274,20 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
     if library.source_hashes.__wrapped__() != library.source_hashes():
         raise BuildError("a source was edited while it was read: once more.")
     paths = modules(kernels, stages)
-    results: dict[str, dict[str, dict[str, str]]] = {what: {} for what in requested}
-    for what, name in jobs:
-        stem, ending, content = _emitted(what, name, paths)
-        results[what][name] = _kept(stem, ending, content)
-        stages.done(f"{results[what][name]['file']}: {len(content) // 1000} kB")
+    results: dict[str, dict[str, dict[str, str]]] = {section: {} for section in requested}
+    for section, name in jobs:
+        stem, ending, content = _emitted(section, name, paths)
+        results[section][name] = _kept(stem, ending, content)
+        stages.done(f"{results[section][name]['file']}: {len(content) // 1000} kB")
     _put(library.BUILT / HEADER, header(kernels.values()).encode())
     sources = {name: sources_of(Path(kernel.function.__code__.co_filename)) for name, kernel in kernels.items()}
     results = {
-        what: _built(what) | entries for what, entries in results.items()
+        section: _built(section) | entries for section, entries in results.items()
     }  # another build may have ended meanwhile
     # who reads the old manifest wants these
-    in_use = {entry["file"] for what in results for entry in [*results[what].values(), *_listed(what).values()]}
+    in_use = {
+        entry["file"] for section in results for entry in [*results[section].values(), *_listed(section).values()]
+    }
     manifest = {"sources": library.source_hashes(), **results, "kernels": sources}
     _put(library.BUILT / library.MANIFEST, json.dumps(manifest, indent=1).encode())
     for pattern, age in {"kernels-*": AN_HOUR, "export-*": AN_HOUR, f"{CACHE}/*": A_DAY}.items():
@@ -292,11 +296,11 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
                 path.unlink(missing_ok=True)
 
 
-def _emitted(what: str, name: str, paths: list[Path]) -> tuple[str, str, bytes]:
+def _emitted(section: str, name: str, paths: list[Path]) -> tuple[str, str, bytes]:
     """Return the beginning of the file's name, its ending and the content of a library or an export."""
     from .exports import EXPORTS, emit_export
 
-    if what == "exports":
+    if section == "exports":
         return f"export-{name}", "wasm" if EXPORTS[name].whole else "o", emit_export(joined(paths), name)
     groups = _objects(paths, name)
     missing = {file: group for file, group in groups.items() if _cached(file) is None}

@@ -61,11 +61,11 @@ class _Part(codegen.JITCodeLibrary):  # type: ignore[misc]
 def _linked(parts: Iterable[Any]) -> Any:
     """Return one module of numba's libraries and of the inlined kernels that they call."""
     module = llvm.parse_assembly("")
-    waiting, done = list(parts), set()
+    waiting, linked = list(parts), set()
     while waiting:
         part = waiting.pop()
-        if part not in done:
-            done.add(part)
+        if part not in linked:
+            linked.add(part)
             waiting += part._linking_libraries
             module.link_in(_parsed(part._final_module, _kernels.get(part)))
     return module
@@ -134,30 +134,32 @@ def module_of(kernels: Iterable[Any]) -> Any:
 class _Inlined(CPUDispatcher):  # type: ignore[misc]
     def get_call_template(self, args: Any, kws: Any) -> Any:
         # Constants take effect after inlining: the function is compiled once for all of them.
-        return super().get_call_template(tuple(types.unliteral(each) for each in args), kws)
+        return super().get_call_template(tuple(types.unliteral(argument) for argument in args), kws)
 
 
-def type_of(known: Any) -> Any:
+def type_of(callee: Any) -> Any:
     """Numba's type of what kernels may call."""
-    if known.kind == "exported":
-        return types.Dispatcher(_dispatcher(known)) if isinstance(known, Member) else _type_of_exported(known)
-    if known.kind == "primitive":
-        return _function_type(getattr(operations, known.function.__name__))
-    if known.kind == "caller":
-        return _of_caller(known.of)
-    if known.kind == "view":
-        return _function_type(operations.view(numba.from_dtype(known.of.dtype)))
-    if known.kind == "local":
-        return _function_type(operations.local(known.of))
-    made = numba.njit(**_OPTIONS, forceinline=True)(known.function)  # compiled for the types with which it is called
-    made.__class__ = _Inlined
-    _alive.append(made)
-    return types.Dispatcher(made)
+    if callee.kind == "exported":
+        return types.Dispatcher(_dispatcher(callee)) if isinstance(callee, Member) else _type_of_exported(callee)
+    if callee.kind == "primitive":
+        return _function_type(getattr(operations, callee.function.__name__))
+    if callee.kind == "caller":
+        return _of_caller(callee.of)
+    if callee.kind == "view":
+        return _function_type(operations.view(numba.from_dtype(callee.of.dtype)))
+    if callee.kind == "local":
+        return _function_type(operations.local(callee.of))
+    dispatcher = numba.njit(**_OPTIONS, forceinline=True)(
+        callee.function
+    )  # compiled for the types with which it is called
+    dispatcher.__class__ = _Inlined
+    _alive.append(dispatcher)
+    return types.Dispatcher(dispatcher)
 
 
-def _function_type(made: Any) -> Any:
+def _function_type(dispatcher: Any) -> Any:
     cpu_target.typing_context.refresh()  # it may be younger than the last look at what there is
-    return cpu_target.typing_context.resolve_value_type(made)
+    return cpu_target.typing_context.resolve_value_type(dispatcher)
 
 
 def plain(function: Any) -> Any:
@@ -168,18 +170,18 @@ def plain(function: Any) -> Any:
 @cache
 def _dispatcher(kernel: Any) -> Any:
     """An exported kernel, compiled for its signature and no other; a member for what it takes, whatever it returns."""
-    wanted = numba_signature(kernel.signature)
+    signature = numba_signature(kernel.signature)
     with _front_end():
         if isinstance(kernel, Member):
-            made = plain(_viewing(kernel))
-            made.compile(wanted.args)
+            dispatcher = plain(_viewing(kernel))
+            dispatcher.compile(signature.args)
         else:
-            made = numba.njit(**_OPTIONS)(kernel.function)
-            made.compile(wanted)
-    made.disable_compile()
-    (result,) = made.overloads.values()
+            dispatcher = numba.njit(**_OPTIONS)(kernel.function)
+            dispatcher.compile(signature)
+    dispatcher.disable_compile()
+    (result,) = dispatcher.overloads.values()
     _kernels[result.library] = kernel
-    return made
+    return dispatcher
 
 
 def _viewing(kernel: Any) -> Any:
@@ -187,28 +189,28 @@ def _viewing(kernel: Any) -> Any:
     if kernel.viewed is None:
         return kernel.function
     names = [f"a{i}" for i in range(len(kernel.signature.arguments))]
-    taken = ", ".join([*names[:-2], f"{names[-2]}.view(kind)[0]", names[-1]])
+    parameters = ", ".join([*names[:-2], f"{names[-2]}.view(kind)[0]", names[-1]])
     scope: dict[str, Any] = {"own": plain(kernel.function), "kind": kernel.viewed}
-    exec(f"def call({', '.join(names)}):\n    own({taken})", scope)
+    exec(f"def call({', '.join(names)}):\n    own({parameters})", scope)
     return scope["call"]
 
 
 def numba_signature(signature: Any) -> Any:
     """A signature in numba's types."""
-    kinds = [numba_type(each) for each in signature.returns]
+    kinds = [numba_type(kind) for kind in signature.returns]
     if len(kinds) == 1:
         returned = kinds[0]
     else:
         returned = types.UniTuple(kinds[0], len(kinds)) if len(set(kinds)) == 1 else types.Tuple(kinds)
-    return returned(*(numba_type(each) for each in signature.arguments))
+    return returned(*(numba_type(kind) for kind in signature.arguments))
 
 
 def _c_function_type(signature: Any) -> Any:
-    taken = [each for kind in signature.types for each in c_types(kind)]
+    parameter_types = [c_type for kind in signature.types for c_type in c_types(kind)]
     if len(signature.returns) > 1:
-        return ir.FunctionType(ir.VoidType(), [*taken, WORD.as_pointer()])
+        return ir.FunctionType(ir.VoidType(), [*parameter_types, WORD.as_pointer()])
     (returned,) = signature.returns
-    return ir.FunctionType(ir.VoidType() if returned.name == "void" else c_types(returned)[0], taken)
+    return ir.FunctionType(ir.VoidType() if returned.name == "void" else c_types(returned)[0], parameter_types)
 
 
 def _codegen() -> Any:
@@ -224,43 +226,43 @@ def compiled(kernel: Any) -> Any:
 def c_module(kernel: Any, name: str) -> Any:
     """A module of one C function around a compiled kernel. Kernels raise nothing: their status is not looked at."""
     result, signature = compiled(kernel), kernel.signature
-    context, wanted = result.target_context, numba_signature(signature)
+    context, numba_types = result.target_context, numba_signature(signature)
     module = _codegen().create_library(name).create_ir_module(name)
     function = ir.Function(module, _c_function_type(signature), name)
     builder = ir.IRBuilder(function.append_basic_block())
-    given, values = list(function.args), []
-    for kind, each in zip(signature.types, wanted.args, strict=True):
-        taken, given = given[: len(c_types(kind))], given[len(c_types(kind)) :]
-        values.append(from_c(context, builder, kind, each, taken))
+    pending, values = list(function.args), []
+    for kind, numba_kind in zip(signature.types, numba_types.args, strict=True):
+        words, pending = pending[: len(c_types(kind))], pending[len(c_types(kind)) :]
+        values.append(from_c(context, builder, kind, numba_kind, words))
     inner = context.declare_function(module, result.fndesc)
-    own = result.signature.return_type  # a member's is what its function returns
-    status, found = context.call_conv.call_function(builder, inner, own, wanted.args, values)
+    return_type = result.signature.return_type  # a member's is what its function returns
+    status, returned = context.call_conv.call_function(builder, inner, return_type, numba_types.args, values)
     if isinstance(kernel, Member):
-        found = _answer(context, builder, wanted, own, status, found, values)
+        returned = _answer(context, builder, numba_types, return_type, status, returned, values)
     if len(signature.returns) > 1:
         for i in range(len(signature.returns)):
-            value = builder.extract_value(found, i)
-            builder.store(builder.bitcast(value, WORD), builder.gep(given[0], [ir.Constant(WORD, i)]))
+            value = builder.extract_value(returned, i)
+            builder.store(builder.bitcast(value, WORD), builder.gep(pending[0], [ir.Constant(WORD, i)]))
         builder.ret_void()
-    elif wanted.return_type == types.void:
+    elif numba_types.return_type == types.void:
         builder.ret_void()
     else:
-        builder.ret(builder.zext(found, WORD) if wanted.return_type == types.boolean else found)
+        builder.ret(builder.zext(returned, WORD) if numba_types.return_type == types.boolean else returned)
     return module
 
 
-def _answer(context, builder, wanted, own, status, found, values):
+def _answer(context, builder, signature, return_type, status, returned, values):
     """What a member answers: its number, or 0 for none; after an error NaN, in the array it was to write last too."""
-    place = next(i for i in reversed(range(len(values))) if isinstance(wanted.args[i], types.Array))
-    last = context.make_array(wanted.args[place])(context, builder, values[place])
+    place = next(i for i in reversed(range(len(values))) if isinstance(signature.args[i], types.Array))
+    last = context.make_array(signature.args[place])(context, builder, values[place])
     not_a_number = ir.Constant(ir.DoubleType(), float("nan"))
     with builder.if_then(status.is_error, likely=False), cgutils.for_range(builder, last.nitems) as loop:
         builder.store(not_a_number, builder.gep(last.data, [loop.index]))
-    if wanted.return_type == types.void:
+    if signature.return_type == types.void:
         return None
     answer = ir.Constant(ir.DoubleType(), 0.0)
-    if own != types.none:
-        answer = context.cast(builder, found, own, wanted.return_type)
+    if return_type != types.none:
+        answer = context.cast(builder, returned, return_type, signature.return_type)
     return builder.select(status.is_error, not_a_number, answer)
 
 
@@ -273,8 +275,8 @@ def compiled_now(kernel: Any) -> int:
         library = _codegen().create_library(f"{name}_{len(_alive)}")
         library.add_llvm_module(module)
         library.finalize()
-        held = {each.name for each in library._final_module.global_variables}
-        for environment in held & _environments.keys():
+        defined = {variable.name for variable in library._final_module.global_variables}
+        for environment in defined & _environments.keys():
             _codegen().set_env(environment, _environments[environment])
         _alive.append(library)
         return int(library.get_pointer_to_function(name))
@@ -311,19 +313,19 @@ def _intrinsic(typed: Any, names: list[str]) -> Any:
 
 def _of_caller(signature: Any) -> Any:
     """Numba's type of a call of a C function by its address."""
-    wanted = numba_signature(signature)
+    caller_signature = numba_signature(signature)
 
     def typed(typingctx, address, *arguments):
         def codegen(context, builder, typed_as, args):
-            given = []
-            for kind, each, value in zip(signature.types, wanted.args, args[1:], strict=True):
-                given += to_c(context, builder, kind, each, value)
+            arguments = []
+            for kind, numba_kind, value in zip(signature.types, caller_signature.args, args[1:], strict=True):
+                arguments += to_c(context, builder, kind, numba_kind, value)
             kind = _c_function_type(signature)
             if len(signature.returns) > 1:
                 raise NotImplementedError("a member returns one number or none")
-            found = builder.call(builder.inttoptr(args[0], kind.as_pointer()), given)
-            return context.get_dummy_value() if wanted.return_type == types.void else found
+            returned = builder.call(builder.inttoptr(args[0], kind.as_pointer()), arguments)
+            return context.get_dummy_value() if caller_signature.return_type == types.void else returned
 
-        return wanted.return_type(types.int64, *wanted.args), codegen
+        return caller_signature.return_type(types.int64, *caller_signature.args), codegen
 
-    return _function_type(_intrinsic(typed, ["address", *(f"a{i}" for i in range(len(wanted.args)))]))
+    return _function_type(_intrinsic(typed, ["address", *(f"a{i}" for i in range(len(caller_signature.args)))]))

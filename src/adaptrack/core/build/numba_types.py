@@ -31,14 +31,14 @@ def numba_type(kind: Any) -> Any:
         return numba.from_dtype(kind.of.dtype)
     if isinstance(kind, Place):
         return Stored(numba_type(kind.of))
-    kinds = [numba_type(each) for each in kind.kinds.values()]
+    kinds = [numba_type(field_kind) for field_kind in kind.kinds.values()]
     if len(set(kinds)) == 1:
         return types.NamedUniTuple(kinds[0], len(kinds), kind)
     return types.NamedTuple(kinds, kind)
 
 
 @lower_cast(types.NestedArray, types.Array)
-def _array_of_record(context, builder, kind, wanted, value):
+def _array_of_record(context, builder, kind, shape, value):
     """An array that is a field of a row is handed over as any other."""
     return value
 
@@ -59,13 +59,13 @@ class Stored(types.Type):  # type: ignore[misc]
 
 def _is_record(kind: Any) -> bool:
     """Whether a field is a record whose fields are loaded one by one; a few whole numbers are loaded at once."""
-    return isinstance(kind, types.BaseNamedTuple) and any(each != types.int64 for each in kind.types)
+    return isinstance(kind, types.BaseNamedTuple) and any(field_type != types.int64 for field_type in kind.types)
 
 
 def _words(kind: Any) -> int:
     """Words of a value in memory: an array is its place and its sizes."""
     if isinstance(kind, types.BaseTuple):
-        return sum(_words(each) for each in kind.types)
+        return sum(_words(field_type) for field_type in kind.types)
     return 1 + kind.ndim if isinstance(kind, types.Array) else 1
 
 
@@ -99,8 +99,8 @@ def _load_field(context, builder, kind, place, name):
 
 
 @lower_cast(Stored, types.BaseTuple)
-def _load_record(context, builder, kind, wanted, place):
-    return load(context, builder, wanted, place)
+def _load_record(context, builder, kind, target, place):
+    return load(context, builder, target, place)
 
 
 def _word(builder, place, word):
@@ -110,15 +110,15 @@ def _word(builder, place, word):
 def load(context, builder, kind, place):
     """A value of a stored record. It does not change while a kernel runs, and is marked so for the optimiser."""
 
-    def word(i, what):
-        loaded = builder.load(builder.bitcast(_word(builder, place, i), what.as_pointer()))
+    def word(i, word_type):
+        loaded = builder.load(builder.bitcast(_word(builder, place, i), word_type.as_pointer()))
         loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
         return loaded
 
     if isinstance(kind, types.BaseTuple):
         parts = [
-            load(context, builder, each, _word(builder, place, begin))
-            for each, begin in zip(kind.types, _begins(kind), strict=True)
+            load(context, builder, field_type, _word(builder, place, begin))
+            for field_type, begin in zip(kind.types, _begins(kind), strict=True)
         ]
         return context.make_tuple(builder, kind, parts)
     if not isinstance(kind, types.Array):
@@ -130,17 +130,17 @@ def load(context, builder, kind, place):
 def store(context, builder, kind, value, place):
     """Write a value where `load` reads it."""
 
-    def word(i, what):
-        builder.store(what, builder.bitcast(_word(builder, place, i), what.type.as_pointer()))
+    def word(i, word_type):
+        builder.store(word_type, builder.bitcast(_word(builder, place, i), word_type.type.as_pointer()))
 
     if isinstance(kind, types.BaseTuple):
-        for i, (each, begin) in enumerate(zip(kind.types, _begins(kind), strict=True)):
-            store(context, builder, each, builder.extract_value(value, i), _word(builder, place, begin))
+        for i, (field_type, begin) in enumerate(zip(kind.types, _begins(kind), strict=True)):
+            store(context, builder, field_type, builder.extract_value(value, i), _word(builder, place, begin))
     elif isinstance(kind, types.Array):
-        made = context.make_array(kind)(context, builder, value)
-        word(0, made.data)
+        view = context.make_array(kind)(context, builder, value)
+        word(0, view.data)
         for i in range(kind.ndim):
-            word(1 + i, builder.extract_value(made.shape, i))
+            word(1 + i, builder.extract_value(view.shape, i))
     else:
         word(0, value)
 
@@ -155,7 +155,7 @@ def words_on_stack(context, builder, kind, value):
 
 def array(context, builder, kind, data, sizes):
     """Numba's structure of a C-contiguous array, from its place and its sizes."""
-    made = context.make_array(kind)(context, builder)
+    view = context.make_array(kind)(context, builder)
     bytes_of_one = ir.Constant(WORD, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
     strides = [bytes_of_one]
     for size in sizes[:0:-1]:
@@ -163,9 +163,9 @@ def array(context, builder, kind, data, sizes):
     count = sizes[0]
     for size in sizes[1:]:
         count = builder.mul(count, size)
-    made.data, made.itemsize, made.nitems = data, bytes_of_one, count
-    made.shape, made.strides = cgutils.pack_array(builder, sizes), cgutils.pack_array(builder, strides)
-    return made._getvalue()
+    view.data, view.itemsize, view.nitems = data, bytes_of_one, count
+    view.shape, view.strides = cgutils.pack_array(builder, sizes), cgutils.pack_array(builder, strides)
+    return view._getvalue()
 
 
 # -- C ----------------------------------------------------------------------------------------------------------------
@@ -177,27 +177,27 @@ def c_types(kind: Any) -> list[Any]:
     return [pointer, *[WORD] * kind.ndim] if isinstance(kind, Array) else [pointer]
 
 
-def from_c(context, builder, kind: Any, wanted, given):
+def from_c(context, builder, kind: Any, numba_kind, words):
     """Numba's value of type `wanted` from what C is given."""
     if isinstance(kind, Number):
-        return builder.icmp_signed("!=", given[0], ir.Constant(WORD, 0)) if kind.name == "boolean" else given[0]
+        return builder.icmp_signed("!=", words[0], ir.Constant(WORD, 0)) if kind.name == "boolean" else words[0]
     if isinstance(kind, Array):
-        data = context.get_data_type(wanted.dtype).as_pointer()
-        return array(context, builder, wanted, builder.bitcast(given[0], data), given[1:])
+        data = context.get_data_type(numba_kind.dtype).as_pointer()
+        return array(context, builder, numba_kind, builder.bitcast(words[0], data), words[1:])
     if isinstance(kind, Row):
-        return builder.bitcast(given[0], context.get_value_type(wanted))
-    return given[0] if isinstance(wanted, Stored) else load(context, builder, wanted, given[0])
+        return builder.bitcast(words[0], context.get_value_type(numba_kind))
+    return words[0] if isinstance(numba_kind, Stored) else load(context, builder, numba_kind, words[0])
 
 
-def to_c(context, builder, kind: Any, given, value):
+def to_c(context, builder, kind: Any, numba_kind, value):
     """What C is given for numba's value of type `given`: the inverse of `from_c`."""
     if isinstance(kind, Number):
         return [builder.zext(value, WORD) if kind.name == "boolean" else value]
     pointer = ir.IntType(8).as_pointer()
     if isinstance(kind, Array):
-        made = context.make_array(given)(context, builder, value)
-        sizes = [builder.extract_value(made.shape, i) for i in range(kind.ndim)]
-        return [builder.bitcast(made.data, pointer), *sizes]
+        view = context.make_array(numba_kind)(context, builder, value)
+        sizes = [builder.extract_value(view.shape, i) for i in range(kind.ndim)]
+        return [builder.bitcast(view.data, pointer), *sizes]
     if isinstance(kind, Row):
         return [builder.bitcast(value, pointer)]
-    return [value] if isinstance(given, Stored) else [words_on_stack(context, builder, given, value)]
+    return [value] if isinstance(numba_kind, Stored) else [words_on_stack(context, builder, numba_kind, value)]

@@ -40,27 +40,27 @@ def _of_elf(content: bytes) -> set[str]:
     size, count = struct.unpack_from("<HH", content, 0x3A if long else 0x2E)
     row = "<IIQQQQIIQQ" if long else "<10I"
     sections = [struct.unpack_from(row, content, start + size * i) for i in range(count)]
-    found = set()
+    undefined_names = set()
     for section in sections:
         if section[1] in _SYMBOLS:
             names, symbols = sections[section[6]][4], content[section[4] : section[4] + section[5]]
             for symbol in struct.iter_unpack("<IBBHQQ" if long else "<IIIBBH", symbols):
                 name, home = symbol[0], symbol[3] if long else symbol[5]
                 if home == 0 and name != 0:
-                    found.add(_text(content, names + name))
-    return found
+                    undefined_names.add(_text(content, names + name))
+    return undefined_names
 
 
 def _of_coff(content: bytes) -> set[str]:
     start, count = struct.unpack_from("<II", content, 8)
-    names, at, found = start + 18 * count, start, set()
+    names, at, symbols = start + 18 * count, start, set()
     while at < names:
-        name, value, home, _, kind, more = struct.unpack_from("<8sIhHBB", content, at)
+        name, value, home, _, kind, auxiliary = struct.unpack_from("<8sIhHBB", content, at)
         if kind == 2 and home == 0 and value == 0:  # of an external symbol
-            short, far = struct.unpack("<II", name)
-            found.add(name.rstrip(b"\0").decode() if short else _text(content, names + far))
-        at += 18 * (1 + more)
-    return found
+            short, offset = struct.unpack("<II", name)
+            symbols.add(name.rstrip(b"\0").decode() if short else _text(content, names + offset))
+        at += 18 * (1 + auxiliary)
+    return symbols
 
 
 def _of_dll(content: bytes) -> set[str]:
@@ -72,25 +72,25 @@ def _of_dll(content: bytes) -> set[str]:
     def place(address: int) -> int:
         return next(raw + address - begin for size, begin, _, raw in sections if begin <= address < begin + size)
 
-    found, at = set(), place(imports) if imports else 0
+    symbols, at = set(), place(imports) if imports else 0
     while at and (name := struct.unpack_from("<I", content, at + 12)[0]):
-        found.add(_text(content, place(name)))
+        symbols.add(_text(content, place(name)))
         at += 20
-    return found
+    return symbols
 
 
 def _of_mach_o(content: bytes) -> set[str]:
     (count,) = struct.unpack_from("<I", content, 16)
-    at, found = 32, set()
+    at, undefined_names = 32, set()
     for _ in range(count):
         command, size, start, symbols, names, _ = struct.unpack_from("<6I", content, at)
         if command == 2:  # LC_SYMTAB
             for i in range(symbols):
                 name, kind, _, _, value = struct.unpack_from("<IBBHQ", content, start + 16 * i)
                 if kind & 0x0F == 1 and value == 0:  # N_UNDF | N_EXT
-                    found.add(_text(content, names + name).removeprefix("_"))
+                    undefined_names.add(_text(content, names + name).removeprefix("_"))
         at += size
-    return found
+    return undefined_names
 
 
 class Reader:
@@ -131,21 +131,21 @@ class Reader:
 
 
 def _of_wasm(content: bytes) -> set[str]:
-    sections, found = Reader(content[8:]), set()
+    sections, symbols = Reader(content[8:]), set()
     while sections.at < len(sections.content):
         kind, section = sections.number(), Reader(sections.sized())
         if kind != 2:
             continue
         for _ in range(section.number()):
             section.sized()
-            name, what = section.sized().decode(), section.number()
-            if what == 0:  # a function, of a type
-                found.add(name)
+            name, kind_code = section.sized().decode(), section.number()
+            if kind_code == 0:  # a function, of a type
+                symbols.add(name)
                 section.number()
-            elif what == 3:  # a global: its type, and whether it varies
+            elif kind_code == 3:  # a global: its type, and whether it varies
                 section.at += 2
             else:  # a table (of a type) or the memory: limits
-                section.at += 1 if what == 1 else 0
+                section.at += 1 if kind_code == 1 else 0
                 for _ in range(1 + (section.number() & 1)):
                     section.number()
-    return found
+    return symbols

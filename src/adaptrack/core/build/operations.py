@@ -70,12 +70,12 @@ def float_of(typingctx, bits):
 def shaped(typingctx, values, *sizes):
     """A contiguous vector as an array of more dimensions."""
     sizes = sizes[0] if len(sizes) == 1 and isinstance(sizes[0], types.BaseTuple) else sizes
-    made = types.Array(values.dtype, len(sizes), "C")
-    signature = made(values, types.StarArgTuple.from_types([types.int64] * len(sizes)))
+    array_type = types.Array(values.dtype, len(sizes), "C")
+    signature = array_type(values, types.StarArgTuple.from_types([types.int64] * len(sizes)))
 
     def codegen(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        return array(context, builder, made, data, cgutils.unpack_tuple(builder, args[1], len(sizes)))
+        return array(context, builder, array_type, data, cgutils.unpack_tuple(builder, args[1], len(sizes)))
 
     return signature, codegen
 
@@ -96,7 +96,7 @@ def view(record: Any) -> Any:
 
 def local(shape: tuple[int, ...]) -> Any:
     """An operation: an array of zeros on the stack. It is written in pieces: a larger one would be a call of C's."""
-    made, count = types.Array(types.float64, len(shape), "C"), math.prod(shape)
+    array_type, count = types.Array(types.float64, len(shape), "C"), math.prod(shape)
 
     @intrinsic
     def operation(typingctx):
@@ -110,9 +110,9 @@ def local(shape: tuple[int, ...]) -> Any:
                 where = builder.gep(first, [ir.Constant(ir.IntType(64), at)])
                 builder.store(ir.Constant(piece, None), builder.bitcast(where, piece.as_pointer()), align=8)
                 at += WIDTH if piece is _VECTOR else 1
-            return array(context, builder, made, first, [ir.Constant(ir.IntType(64), size) for size in shape])
+            return array(context, builder, array_type, first, [ir.Constant(ir.IntType(64), size) for size in shape])
 
-        return made(), codegen
+        return array_type(), codegen
 
     return operation
 
@@ -165,13 +165,13 @@ def load(typingctx, array, *index):
 @intrinsic
 def store(typingctx, array, *index_and_value):
     """``array[..., i, j:j+8] = value``."""
-    given = index_and_value
-    given = given[0] if len(given) == 1 and isinstance(given[0], types.BaseTuple) else given
-    _check(array, given[:-1])
-    signature = types.void(array, types.StarArgTuple.from_types(given))
+    arguments = index_and_value
+    arguments = arguments[0] if len(arguments) == 1 and isinstance(arguments[0], types.BaseTuple) else arguments
+    _check(array, arguments[:-1])
+    signature = types.void(array, types.StarArgTuple.from_types(arguments))
 
     def codegen(context, builder, signature, args):
-        *indices, value = cgutils.unpack_tuple(builder, args[1], len(given))
+        *indices, value = cgutils.unpack_tuple(builder, args[1], len(arguments))
         builder.store(value, _pointer(context, builder, signature.args[0], args[0], indices), align=8)
         return context.get_dummy_value()
 
@@ -179,9 +179,9 @@ def store(typingctx, array, *index_and_value):
 
 
 def _splat(builder: Any, value: Any) -> Any:
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _I32(0))
+    vector = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _I32(0))
     mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
+    return builder.shuffle_vector(vector, ir.Constant(_VECTOR, ir.Undefined), mask)
 
 
 @intrinsic
@@ -237,15 +237,15 @@ mul = _binary("fmul")
 div = _binary("fdiv")
 
 
-def _operator(which: Any, name: str) -> None:
+def _operator(operator_function: Any, name: str) -> None:
     """Let an operator of Python's take eight numbers at once."""
 
-    @infer_global(which)
+    @infer_global(operator_function)
     class _Typed(AbstractTemplate):  # type: ignore[misc]
         def generic(self, args: Any, kws: Any) -> Any:
             return vector8(vector8, vector8) if args == (vector8, vector8) else None
 
-    @lower_builtin(which, Vector, Vector)
+    @lower_builtin(operator_function, Vector, Vector)
     def _lowered(context, builder, signature, args):
         return getattr(builder, name)(*args)
 
@@ -266,8 +266,8 @@ def _integers(builder: Any, value: Any) -> Any:
 
 
 def _absolute(builder: Any, value: Any) -> Any:
-    whole = _integers(builder, value)
-    return builder.bitcast(builder.and_(whole, _filled(whole.type, 2**63 - 1)), value.type)
+    word = _integers(builder, value)
+    return builder.bitcast(builder.and_(word, _filled(word.type, 2**63 - 1)), value.type)
 
 
 @intrinsic
@@ -275,22 +275,22 @@ def upper_half(typingctx, x):
     """x rounded to 26 bits."""
 
     def codegen(context, builder, signature, args):
-        whole = _integers(builder, args[0])
-        rounded = builder.add(whole, _filled(whole.type, 2**26))
-        return builder.bitcast(builder.and_(rounded, _filled(whole.type, -(2**27))), args[0].type)
+        word = _integers(builder, args[0])
+        rounded = builder.add(word, _filled(word.type, 2**26))
+        return builder.bitcast(builder.and_(rounded, _filled(word.type, -(2**27))), args[0].type)
 
     return x(x), codegen
 
 
 @intrinsic
-def to_odd(typingctx, x, rest):
+def to_odd(typingctx, x, remainder):
     """x + rest rounded to odd, where x is the sum rounded and `rest` what that dropped."""
 
     def codegen(context, builder, signature, args):
-        number, dropped = (_integers(builder, each) for each in args)
-        one = _filled(number.type, 1)
-        step = builder.or_(builder.ashr(builder.xor(number, dropped), _filled(number.type, 63)), one)
-        even = builder.sub(builder.and_(number, one), one)  # all bits set
+        number, dropped = (_integers(builder, argument) for argument in args)
+        unit = _filled(number.type, 1)
+        step = builder.or_(builder.ashr(builder.xor(number, dropped), _filled(number.type, 63)), unit)
+        even = builder.sub(builder.and_(number, unit), unit)  # all bits set
         inexact = builder.sext(builder.fcmp_ordered("!=", args[1], _filled(args[1].type, 0.0)), number.type)
         moved = builder.add(number, builder.and_(step, builder.and_(even, inexact)))
         return builder.bitcast(moved, args[0].type)
@@ -310,15 +310,17 @@ def usual_sum(typingctx, a, b, c, y, beyond):
         nothing = builder.or_(builder.fcmp_ordered("==", a, zero), builder.fcmp_ordered("==", b, zero))
         product = _absolute(builder, builder.fmul(a, b))
         large = builder.fcmp_ordered(">=", product, _filled(a.type, LEAST_USUAL))
-        found = builder.and_(small, builder.or_(large, nothing))
+        is_usual = builder.and_(small, builder.or_(large, nothing))
         further = builder.fadd(y, builder.fmul(beyond, _filled(a.type, ABOVE_ONE)))
-        found = builder.and_(found, builder.fcmp_ordered("==", further, y))
+        is_usual = builder.and_(is_usual, builder.fcmp_ordered("==", further, y))
         if not isinstance(a.type, ir.VectorType):
-            return found
-        wide = builder.sext(found, ir.VectorType(ir.IntType(64), WIDTH))
+            return is_usual
+        extended = builder.sext(is_usual, ir.VectorType(ir.IntType(64), WIDTH))
         name = f"llvm.vector.reduce.and.v{WIDTH}i64"
-        declared = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.IntType(64), [wide.type]), name)
-        return builder.icmp_signed("!=", builder.call(declared, [wide]), ir.Constant(ir.IntType(64), 0))
+        declared = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(ir.IntType(64), [extended.type]), name
+        )
+        return builder.icmp_signed("!=", builder.call(declared, [extended]), ir.Constant(ir.IntType(64), 0))
 
     return types.boolean(a, b, c, y, beyond), codegen
 
@@ -473,11 +475,11 @@ def all_below_infinity(typingctx, a):
 
 
 def _mask(builder: Any, compare: str, count: Any) -> Any:
-    wide = ir.VectorType(ir.IntType(64), WIDTH)
-    undefined = ir.Constant(wide, ir.Undefined)
+    vector_type = ir.VectorType(ir.IntType(64), WIDTH)
+    undefined = ir.Constant(vector_type, ir.Undefined)
     mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
     counts = builder.shuffle_vector(builder.insert_element(undefined, count, _I32(0)), undefined, mask)
-    return builder.icmp_signed(compare, ir.Constant(wide, list(range(WIDTH))), counts)
+    return builder.icmp_signed(compare, ir.Constant(vector_type, list(range(WIDTH))), counts)
 
 
 @intrinsic
@@ -516,7 +518,7 @@ def first_equal(typingctx, a, value):
 
     def codegen(context, builder, signature, args):
         bits = builder.bitcast(builder.fcmp_ordered("==", args[0], _splat(builder, args[1])), ir.IntType(WIDTH))
-        wide = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << WIDTH))
-        return builder.cttz(wide, ir.Constant(ir.IntType(1), 1))
+        word = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << WIDTH))
+        return builder.cttz(word, ir.Constant(ir.IntType(1), 1))
 
     return types.int64(vector8, types.float64), codegen

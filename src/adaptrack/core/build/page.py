@@ -19,5 +19,5 @@ CALLED = (
 )  # fmt: skip
 MEMBERS = (
     "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
-    *(each for each in PLANTS if each.startswith("dual_track")),
+    *(plant for plant in PLANTS if plant.startswith("dual_track")),
 )  # fmt: skip

@@ -29,7 +29,7 @@ def plain(name: str) -> str:
 
 def violations(text: str) -> list[str]:
     """Where a module that is not yet optimised converts or shifts without bounds: sentences."""
-    name, converting, callers, found = "", set(), defaultdict(set), []
+    name, converting, callers, breaches = "", set(), defaultdict(set), []
     for line in text.splitlines():
         if line.startswith("define "):
             match = _DEFINED.match(line)
@@ -37,17 +37,17 @@ def violations(text: str) -> list[str]:
         elif "= fpto" in line:
             converting.add(name)
         elif _SHIFT.search(line) and plain(name) not in _SHIFTS:
-            found.append(f"{plain(name)} shifts by a number that may be too large: {line.strip()}")
+            breaches.append(f"{plain(name)} shifts by a number that may be too large: {line.strip()}")
         elif match := _CALLED.search(line):
             callers[match[1].strip('"')].add(name)
-    for each in converting:
-        if plain(each) in _CONVERTS:
+    for function in converting:
+        if plain(function) in _CONVERTS:
             continue
-        if not each.startswith("_ZN5numba"):  # numba's own function for int()
-            found.append(f"{plain(each)} converts a number to an integer that may not hold it")
-        found += [
+        if not function.startswith("_ZN5numba"):  # numba's own function for int()
+            breaches.append(f"{plain(function)} converts a number to an integer that may not hold it")
+        breaches += [
             f"{plain(caller)} converts a number to an integer that may not hold it"
-            for caller in callers[each]
+            for caller in callers[function]
             if plain(caller) not in _CONVERTS and not caller.startswith("cfunc.")  # which nothing calls
         ]
-    return sorted(set(found))
+    return sorted(set(breaches))

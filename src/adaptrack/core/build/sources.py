@@ -34,9 +34,9 @@ def _imports(source: Path) -> set[Path]:
 @cache
 def sources_of(source: Path) -> list[str]:
     """The files that the kernels of a file depend on, by their places in the package."""
-    found, waiting = set(), {source, COMPILER}
+    files, waiting = set(), {source, COMPILER}
     while waiting:
-        here = waiting.pop()
-        found.add(here)
-        waiting |= _imports(here) - found
-    return sorted(each.relative_to(library.PACKAGE).as_posix() for each in found)
+        module = waiting.pop()
+        files.add(module)
+        waiting |= _imports(module) - files
+    return sorted(path.relative_to(library.PACKAGE).as_posix() for path in files)

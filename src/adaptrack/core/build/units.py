@@ -7,9 +7,9 @@ UNITS = {
 }
 """Of each unit of co-simulation (`core.units`) the kernels that begin and step, by the name of its record."""
 PLANTS = tuple(
-    f"{track}_{tyre}_{what}"
+    f"{track}_{tyre}_{member}"
     for track in ("single_track", "dual_track")
     for tyre in ("linear", "magic", "curved")
-    for what in ("advance", "observe")
+    for member in ("advance", "observe")
 )
 """Members that a car has the address of."""

@@ -57,12 +57,12 @@ def linked(content: bytes, stack: int = STACK) -> bytes:
     for name, section in (("reloc.CODE", code), ("reloc.DATA", data)):
         if name in custom:
             _relocate(section, Reader(custom[name]), symbols, places)
-    own = Reader(numbered.get(GLOBAL, b"\0"))
+    global_section = Reader(numbered.get(GLOBAL, b"\0"))
     pointer = bytes([_I32, _MUTABLE, _CONST]) + _signed(stack) + bytes([_END])
     numbered |= {
         TABLE: bytes([1, _FUNCREF, 0, 1]),  # entry 0 stays empty
         MEMORY: bytes([1, 0]) + _unsigned(-(-end // PAGE)),
-        GLOBAL: _unsigned(1 + own.number()) + pointer + own.rest(),
+        GLOBAL: _unsigned(1 + global_section.number()) + pointer + global_section.rest(),
         EXPORT: _exports(symbols),
         CODE: bytes(code),
     }
@@ -78,9 +78,9 @@ def _sections(content: bytes) -> Iterator[tuple[int, str, bytes]]:
     reader = Reader(content, 8)
     while reader.at < len(content):
         kind, section = reader.byte(), reader.sized()
-        own = Reader(section)
-        name = own.sized().decode() if kind == 0 else ""
-        yield kind, name, own.rest()
+        section_reader = Reader(section)
+        name = section_reader.sized().decode() if kind == 0 else ""
+        yield kind, name, section_reader.rest()
 
 
 def _refuse_imports(content: bytes) -> None:
@@ -113,7 +113,7 @@ def _symbols(content: bytes) -> Iterator[_Symbol]:
 
 def _symbol(table: Reader) -> _Symbol:
     kind, flags = table.byte(), table.number()
-    undefined, local, hidden, named = flags & 0x10, flags & 0x02, flags & 0x04, flags & 0x40
+    undefined, local, hidden, is_named = flags & 0x10, flags & 0x02, flags & 0x04, flags & 0x40
     if kind == 1:
         name = table.sized().decode()
         if undefined:
@@ -121,7 +121,7 @@ def _symbol(table: Reader) -> _Symbol:
         segment, offset, _ = table.number(), table.number(), table.number()
         return _Symbol(kind, name, False, segment, offset)
     index = table.number()
-    name = table.sized().decode() if kind != 3 and (not undefined or named) else ""
+    name = table.sized().decode() if kind != 3 and (not undefined or is_named) else ""
     return _Symbol(kind, name, kind == 0 and not (undefined or local or hidden), index)
 
 
@@ -139,8 +139,8 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _places(data: bytes, base: int) -> tuple[list[int], int]:
     """Where each segment lies when the first one begins at `base`, and where all end."""
-    found = [(base + place, len(content)) for place, content in _segments(data)]
-    return [place for place, _ in found], max((place + size for place, size in found), default=base)
+    places = [(base + place, len(content)) for place, content in _segments(data)]
+    return [place for place, _ in places], max((place + size for place, size in places), default=base)
 
 
 def _moved(data: bytes, places: list[int]) -> bytes:
@@ -168,7 +168,7 @@ def _relocate(target: bytearray, reader: Reader, symbols: list[_Symbol], segment
 
 def _exports(symbols: list[_Symbol]) -> bytes:
     entries = [("memory", 2, 0), ("__indirect_function_table", 1, 0)]
-    entries += [(each.name, 0, each.number) for each in symbols if each.exported]
+    entries += [(symbol.name, 0, symbol.number) for symbol in symbols if symbol.exported]
     return _unsigned(len(entries)) + b"".join(
         _sized(name.encode()) + bytes([kind]) + _unsigned(index) for name, kind, index in entries
     )
@@ -180,14 +180,14 @@ def _sized(content: bytes) -> bytes:
 
 def _unsigned(value: int, width: int = 1) -> bytes:
     """Seven bits a byte, the lowest first (LEB128), in so many bytes at least."""
-    found = bytearray()
-    while value >= 0x80 or len(found) < width - 1:
-        found.append(value & 0x7F | 0x80)
+    encoded = bytearray()
+    while value >= 0x80 or len(encoded) < width - 1:
+        encoded.append(value & 0x7F | 0x80)
         value >>= 7
-    return bytes([*found, value])
+    return bytes([*encoded, value])
 
 
 def _signed(value: int, width: int = 1) -> bytes:
     """Likewise, of a number that is not negative but is read as one with a sign."""
-    found = _unsigned(value, width)
-    return found if not found[-1] & 0x40 else bytes([*found[:-1], found[-1] | 0x80, 0])
+    encoded = _unsigned(value, width)
+    return encoded if not encoded[-1] & 0x40 else bytes([*encoded[:-1], encoded[-1] | 0x80, 0])

@@ -89,7 +89,7 @@ def all_finite(values):
 
 
 @inlined
-def limited(wanted, s, p):
+def limited(angle, s, p):
     """The command (rad) nearest to the wanted one within the limits on move and angle, and 1.0 where it is held.
 
     s: the situation; p: any record with the fields of `COMMON`. A wanted command that is not finite holds the last one;
@@ -97,9 +97,9 @@ def limited(wanted, s, p):
     """
     last = s.command
     start = last if math.isfinite(last) else 0.0
-    held = not math.isfinite(wanted)
-    move = 0.0 if held or abs(s.speed) < STANDING else clip(wanted - start, p.move_min, p.move_max)
-    return clip(start + move, p.angle_min, p.angle_max), 1.0 if held else 0.0
+    invalid = not math.isfinite(angle)
+    move = 0.0 if invalid or abs(s.speed) < STANDING else clip(angle - start, p.move_min, p.move_max)
+    return clip(start + move, p.angle_min, p.angle_max), 1.0 if invalid else 0.0
 
 
 @inlined
@@ -107,10 +107,10 @@ def wrapped(angle):
     """The angle (rad) less whole turns, in [-pi, pi]; NaN unless it is finite."""
     if not math.isfinite(angle):
         return math.nan
-    rest = fmod(abs(angle), 2.0 * math.pi)
-    if rest > math.pi:
-        rest -= 2.0 * math.pi
-    return rest if angle >= 0.0 else -rest
+    remainder = fmod(abs(angle), 2.0 * math.pi)
+    if remainder > math.pi:
+        remainder -= 2.0 * math.pi
+    return remainder if angle >= 0.0 else -remainder
 
 
 @inlined
@@ -135,10 +135,14 @@ def path_at(reference, road, time, speed, period):
     steps = clip(time / period, 0.0, FURTHEST)
     i = whole(steps)
     s = steps - i
-    now, following, later = reference_at(reference, i), reference_at(reference, i + 1), reference_at(reference, i + 2)
-    bend = later - 2.0 * following + now
-    slope = following - now - 0.5 * bend
-    y = now + s * (slope + 0.5 * s * bend)
+    current, following, later = (
+        reference_at(reference, i),
+        reference_at(reference, i + 1),
+        reference_at(reference, i + 2),
+    )
+    bend = later - 2.0 * following + current
+    slope = following - current - 0.5 * bend
+    y = current + s * (slope + 0.5 * s * bend)
     rate = (slope + s * bend) / period
     steepness = rate / v
     longer = 1.0 + steepness * steepness
@@ -188,9 +192,9 @@ def path_ahead(reference, road, time, speed, period, memory):
     path = path_at(reference, road, time, speed, period)
     if road.line.start.size > 0:
         return path
-    known = direction_of(memory, 0)
+    direction = direction_of(memory, 0)
     if speed < SLOWEST:
-        return Path(path.x, path.y, known.heading, 0.0)
+        return Path(path.x, path.y, direction.heading, 0.0)
     if math.isfinite(path.heading):
-        known.heading = path.heading
+        direction.heading = path.heading
     return path

@@ -80,27 +80,27 @@ def _requested(place, bend):
     i = min(whole(p), bend.size - 3)
     y = bend_at(bend, i - 1)
     near = y.before - 2.0 * y.here + y.after
-    far = y.here - 2.0 * y.after + y.beyond
-    return near + (p - i) * (far - near)
+    curvature = y.here - 2.0 * y.after + y.beyond
+    return near + (p - i) * (curvature - near)
 
 
 @inlined
-def _limit(count, most, wanted, work):
+def _limit(count, most, requested, work):
     """Replace wanted[:count] by the nearest values, in their largest difference, whose steps are at most `most`.
 
     They are the mean of the least bound from above and the largest one from below with such steps (E. J. McShane,
     Extension of range of functions, 1934): so a fast turn of the wheels begins before it is needed.
     """
     for i in range(count):
-        work[i] = wanted[i]
+        work[i] = requested[i]
     for i in range(1, count):
-        wanted[i] = max(wanted[i], wanted[i - 1] - most)
+        requested[i] = max(requested[i], requested[i - 1] - most)
         work[i] = min(work[i], work[i - 1] + most)
     for i in range(count - 2, -1, -1):
-        wanted[i] = max(wanted[i], wanted[i + 1] - most)
+        requested[i] = max(requested[i], requested[i + 1] - most)
         work[i] = min(work[i], work[i + 1] + most)
     for i in range(count):
-        wanted[i] = 0.5 * (wanted[i] + work[i])
+        requested[i] = 0.5 * (requested[i] + work[i])
 
 
 @inlined

@@ -38,17 +38,17 @@ def _leave_out_absurd(speed, measured):
 @inlined
 def _learn(slot, speed, mpc):
     """Learn from what is measured, and let model and estimator of the slot believe it; the factor on R."""
-    own, out = mpc.informed, mpc.answer[slot]
-    known, command = own.learned[slot], mpc.memory[slot].command
-    left_out = whole(kalman.memory_of(own.estimates[slot], 0).left_out)
-    learning.learn(speed, mpc.measured, command, left_out, own.learner, known)
+    informed, out = mpc.informed, mpc.answer[slot]
+    learned, command = informed.learned[slot], mpc.memory[slot].command
+    n_left_out = whole(kalman.memory_of(informed.estimates[slot], 0).left_out)
+    learning.learn(speed, mpc.measured, command, n_left_out, informed.learner, learned)
     for i in range(len(learning.BELIEFS)):
-        if not math.isfinite(known[learning.ANSWER + i]):
-            begin_learning(slot, own)
+        if not math.isfinite(learned[learning.ANSWER + i]):
+            begin_learning(slot, informed)
     for i in range(len(learning.BELIEFS)):
-        out[len(ANSWER) + i] = known[learning.ANSWER + i]
+        out[len(ANSWER) + i] = learned[learning.ANSWER + i]
     if math.isfinite(speed):
-        learning.believe(own.learner, known, mpc.parameters, own.estimator, own.estimates[slot])
+        learning.believe(informed.learner, learned, mpc.parameters, informed.estimator, informed.estimates[slot])
         mpc.memory[slot].speed = math.nan  # the model is formed anew
         if mpc.feed.turning.size > 0:
             path.write_turning(mpc.parameters, mpc.feed.turning)
@@ -58,20 +58,20 @@ def _learn(slot, speed, mpc):
 @inlined
 def _keep_model(slot, mpc):
     """A and B at the speed of the slot, for the estimator."""
-    own, model = mpc.informed, mpc.model
+    informed, model = mpc.informed, mpc.model
     for i in range(model.b.size):
-        own.b[slot, i] = model.b[i]
+        informed.b[slot, i] = model.b[i]
         for j in range(model.b.size):
-            own.a[slot, i, j] = model.a[i, j]
+            informed.a[slot, i, j] = model.a[i, j]
 
 
 @inlined
 def _estimate(slot, speed, mpc, functions):
     """State and disturbance at a speed (m/s) by the estimator."""
-    own = mpc.informed
+    informed = mpc.informed
     mpc.answer[slot, ANSWER.dead_reckoning] = call_estimate(
-        functions.estimate, speed, mpc.measured, mpc.memory[slot].command, own.a[slot], own.b[slot], own.estimator,
-        own.estimates[slot], own.x, own.d,
+        functions.estimate, speed, mpc.measured, mpc.memory[slot].command, informed.a[slot], informed.b[slot],
+        informed.estimator, informed.estimates[slot], informed.x, informed.d,
     )  # fmt: skip
 
 
@@ -87,8 +87,8 @@ def _estimate_alone(slot, speed, mpc, functions):
 @inlined
 def _next_increment(slot, mpc):
     """Write x(k+1) - x(k) of the state and disturbance at hand; y (m)."""
-    own, command, output = mpc.informed, mpc.memory[slot].command, 0.0
-    a, b, x, d = own.a[slot], own.b[slot], own.x, own.d
+    informed, command, output = mpc.informed, mpc.memory[slot].command, 0.0
+    a, b, x, d = informed.a[slot], informed.b[slot], informed.x, informed.d
     for i in range(x.size):
         output = x[i]
         total = b[i] * command + d[i] - output
@@ -104,20 +104,20 @@ def _widen_first_move(slot, mpc):
 
     A first-order lag turns the wheels at (command - angle)/lag, so |command - angle| <= rate lag is what it can do.
     """
-    settings, own, command = mpc.settings, mpc.informed, mpc.memory[slot].command
+    settings, informed, command = mpc.settings, mpc.informed, mpc.memory[slot].command
     ahead, first = settings.ahead, sample_at(mpc.ws.bounds, 0)
     if settings.learns > 0:
-        ahead = learning.ahead_of(ahead, own.learner, own.learned[slot])
+        ahead = learning.ahead_of(ahead, informed.learner, informed.learned[slot])
     for i in range(mpc.states.size):
         if mpc.states[i] == MEASURED.wheel_angle:
-            first.move = max(settings.move_max, own.x[i] + ahead - command)
-            first.move_back = max(-settings.move_min, command - own.x[i] + ahead)
+            first.move = max(settings.move_max, informed.x[i] + ahead - command)
+            first.move_back = max(-settings.move_min, command - informed.x[i] + ahead)
 
 
 @exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
 def form_informed(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
-    settings, own = mpc.settings, mpc.memory[slot]
+    settings, memory = mpc.settings, mpc.memory[slot]
     mpc.answer[slot, ANSWER.dead_reckoning] = 0.0
     speed = _leave_out_absurd(speed, mpc.measured)
     caution = _learn(slot, speed, mpc) if settings.learns > 0 else 1.0
@@ -129,13 +129,13 @@ def form_informed(slot, speed, reference, tuning, mpc, functions):
     if not is_formed(slot, speed, mpc):
         form_model(slot, speed, True, mpc, functions)
         _keep_model(slot, mpc)
-    _estimate(slot, own.speed, mpc, functions)
+    _estimate(slot, memory.speed, mpc, functions)
     compare(slot, _next_increment(slot, mpc), reference, mpc)
     limit_moves(slot, mpc)
     if settings.ahead > 0.0:
         _widen_first_move(slot, mpc)
     complete(slot, speed, n, mpc)
-    return own.factor_status, n, m
+    return memory.factor_status, n, m
 
 
 @inlined

@@ -141,10 +141,10 @@ def memory_size(stages: int, behind: float) -> int:
 def limit_rows(stages: int) -> np.ndarray:
     """(stages, padded 4 stages) rows of u_i, -u_i, u_i - u_i-1 and its negative for every stage, transposed."""
     value, change = np.eye(stages), np.eye(stages) - np.eye(stages, k=1)
-    found = np.zeros((stages, padded(ROWS * stages)))
+    rows = np.zeros((stages, padded(ROWS * stages)))
     for k, part in enumerate((value, -value, change, -change)):
-        found[:, k : ROWS * stages : ROWS] = part
-    return found
+        rows[:, k : ROWS * stages : ROWS] = part
+    return rows
 
 
 @inlined
@@ -156,22 +156,22 @@ def _part(size, end, memory):
 @inlined
 def _workspace(n, memory):
     """The arrays of the workspace, at the end of the memory."""
-    wide, m = padded(n), padded(ROWS * n)
-    high = max(wide, len(qp.VECTOR))
+    width, m = padded(n), padded(ROWS * n)
+    high = max(width, len(qp.VECTOR))
     index, end = _part(ROWS * n, memory.size, memory)
     rows, end = _part(qp.ROW_VECTORS * m, end, memory)
-    work, end = _part(len(qp.PLANE) * high * wide, end, memory)
+    work, end = _part(len(qp.PLANE) * high * width, end, memory)
     multipliers, end = _part(m, end, memory)
-    solution, end = _part(wide, end, memory)
+    solution, end = _part(width, end, memory)
     bounds, end = _part(m, end, memory)
-    factor, end = _part(len(qp.INVERSE) * n * wide, end, memory)
-    gradient, end = _part(wide, end, memory)
-    hessian, end = _part(n * wide, end, memory)
-    stage, end = _part(len(STAGE) * wide, end, memory)
+    factor, end = _part(len(qp.INVERSE) * n * width, end, memory)
+    gradient, end = _part(width, end, memory)
+    hessian, end = _part(n * width, end, memory)
+    stage, end = _part(len(STAGE) * width, end, memory)
     return Workspace(
-        shaped(stage, len(STAGE), wide), shaped(hessian, n, wide), gradient, shaped(factor, len(qp.INVERSE), n, wide),
-        bounds, solution, multipliers, shaped(work, len(qp.PLANE), high, wide), shaped(rows, qp.ROW_VECTORS, m),
-        index.view(np.int64),
+        shaped(stage, len(STAGE), width), shaped(hessian, n, width), gradient,
+        shaped(factor, len(qp.INVERSE), n, width), bounds, solution, multipliers,
+        shaped(work, len(qp.PLANE), high, width), shaped(rows, qp.ROW_VECTORS, m), index.view(np.int64),
     )  # fmt: skip
 
 
@@ -224,9 +224,9 @@ def _write_stages(distance, reference, road, s, t, p, stage):
         v = planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance, reference, road, s, p)
         distance += v * p.step
-        free, driven, pushed, steady = held(v, curvature, p.step, p)
+        free, driven_response, pushed, steady = held(v, curvature, p.step, p)
         stage[P, i], stage[Q, i], stage[R, i], stage[A, i] = free
-        stage[B_E, i], stage[B_THETA, i], stage[B_DELTA, i] = driven
+        stage[B_E, i], stage[B_THETA, i], stage[B_DELTA, i] = driven_response
         stage[W_E, i], stage[W_THETA, i] = pushed
         last = i == n - 1
         stage[Q_E, i] = t.terminal_lateral_error if last else t.lateral_error
@@ -300,10 +300,10 @@ def _add_steering(n, t, p, before, earlier, stage, hessian, gradient):
     _add_difference(0, rate + bend, (1.0, 0.0, 0.0), hessian)
     first.now -= rate * before + bend * (2.0 * before - earlier)
     if n > 1:  # ((u_1 - u_0)/h - (u_0 - before)/period)/h
-        far, near, past = 1.0 / (h * h), -(1.0 / h + 1.0 / period) / h, 1.0 / (h * period)
-        _add_difference(0, t.steering_acceleration, (near, far, 0.0), hessian)
+        outer, near, past = 1.0 / (h * h), -(1.0 / h + 1.0 / period) / h, 1.0 / (h * period)
+        _add_difference(0, t.steering_acceleration, (near, outer, 0.0), hessian)
         first.now += t.steering_acceleration * near * past * before
-        first.following += t.steering_acceleration * far * past * before
+        first.following += t.steering_acceleration * outer * past * before
 
 
 @inlined
@@ -336,17 +336,17 @@ def _solve(n, rows, memory, ws):
 
 # -- the command ------------------------------------------------------------------------------------------------------
 @inlined
-def filtered(wanted, before, earlier, last, past, share):
+def filtered(angle, before, earlier, last, past, share):
     """A second-order Butterworth filter by the bilinear transform; share: cut-off frequency over that of the steps.
 
     wanted, before, earlier: input now and in the last two steps; last, past: output in the last two. No filter where
     the share is 0 or 1/2 and more.
     """
     if not 0.0 < share < 0.5:
-        return wanted
+        return angle
     c = tan(math.pi * share)
     root = sqrt(2.0) * c
-    gain = c * c * (wanted + 2.0 * before + earlier)
+    gain = c * c * (angle + 2.0 * before + earlier)
     return (gain - 2.0 * (c * c - 1.0) * last - (1.0 - root + c * c) * past) / (1.0 + root + c * c)
 
 
@@ -360,9 +360,9 @@ def _sent(p, memory):
 @inlined
 def _take_last(command, p, memory):
     """Remember the last command (rad); where it is not what was answered, the inputs go on from it."""
-    (sent,), own = _sent(p, memory), memory_of(memory, 0)
-    if predicted_path.wheels_of(sent, 0).started == 0.0 or abs(command - own.answered) > DISTANT:
-        own.before = own.earlier = own.past = clip(command, p.angle_min, p.angle_max)
+    (sent,), state = _sent(p, memory), memory_of(memory, 0)
+    if predicted_path.wheels_of(sent, 0).started == 0.0 or abs(command - state.answered) > DISTANT:
+        state.before = state.earlier = state.past = clip(command, p.angle_min, p.angle_max)
     predicted_path.take_command(command, (p.pose_age + p.dead_time) / p.period, p.period, p.lag, sent)
 
 
@@ -374,31 +374,31 @@ def _form(s, reference, road, t, p, memory):
     turned = p.lr * predicted_path.curvature_at(place, reference, road, s, p)
     offset, theta = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading + turned)
     rear = offset - p.lr * sin(theta)
-    (sent,), own = _sent(p, memory), memory_of(memory, 0)
+    (sent,), state = _sent(p, memory), memory_of(memory, 0)
     e, rolled, delta, distance = _roll(rear, theta, reference, road, s, p, sent)
     n, ws = whole(p.stages), _workspace(whole(p.stages), memory)
     _write_stages(distance, reference, road, s, t, p, ws.stage)
     _write_tracking(e, rolled, delta, n, ws.stage, ws.hessian, ws.gradient)
-    _add_steering(n, t, p, own.before, own.earlier, ws.stage, ws.hessian, ws.gradient)
-    _bound(n, own.before, p, ws.bounds)
+    _add_steering(n, t, p, state.before, state.earlier, ws.stage, ws.hessian, ws.gradient)
+    _bound(n, state.before, p, ws.bounds)
     return offset, theta, ws
 
 
 @inlined
-def _filter(wanted, cutoff, p, memory):
+def _filter(angle, cutoff, p, memory):
     """The command (rad) for an input (rad), which is remembered."""
-    (sent,), own = _sent(p, memory), memory_of(memory, 0)
+    (sent,), state = _sent(p, memory), memory_of(memory, 0)
     last = predicted_path.sent(1, sent)
-    found = filtered(wanted, own.before, own.earlier, last, own.past, cutoff * p.period)
-    own.earlier, own.before, own.past = own.before, wanted, last
-    return found
+    output = filtered(angle, state.before, state.earlier, last, state.past, cutoff * p.period)
+    state.earlier, state.before, state.past = state.before, angle, last
+    return output
 
 
 @exported(LAW_SIGNATURE)
 def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer):
     """The first of the optimal inputs, filtered; see the head of this file."""
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
-    wanted = offset = heading_error = feed_forward = math.nan
+    angle = offset = heading_error = feed_forward = math.nan
     status, iterations = qp.NON_FINITE, 0
     if math.isfinite(s.command):
         _take_last(s.command, p, memory)
@@ -407,12 +407,12 @@ def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer
         feed_forward = first_of(ws.stage[REFERENCE], 0).now
         status, iterations = _solve(whole(p.stages), parameters[len(PARAMETERS) :], memory, ws)
         if status == qp.SOLVED:
-            wanted = _filter(first_of(ws.solution, 0).now, t.cutoff, p, memory)
+            angle = _filter(first_of(ws.solution, 0).now, t.cutoff, p, memory)
     out = answer_of(answer, 0)
-    out.command, out.held = limited(wanted, s, p)
-    own = memory_of(memory, 0)
-    own.answered = out.command
+    out.command, out.held = limited(angle, s, p)
+    state = memory_of(memory, 0)
+    state.answered = out.command
     if out.held > 0.0 or abs(s.speed) < STANDING:
-        own.before = own.earlier = own.past = out.command
+        state.before = state.earlier = state.past = out.command
     out.offset, out.heading_error, out.feed_forward = offset, heading_error, feed_forward
     out.qp_status, out.qp_iterations = status, iterations

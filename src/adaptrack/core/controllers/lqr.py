@@ -89,7 +89,7 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
     delta_ss = (L + understeer v^2) kappa, with the curvature that the path has `preview_time` ahead.
     """
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
-    wanted = offset = heading_error = curvature = feed_forward = math.nan
+    angle = offset = heading_error = curvature = feed_forward = math.nan
     if all_finite(situation) and all_finite(tuning):
         v = max(s.speed, SLOWEST)
         path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
@@ -99,7 +99,7 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
         heading_error = wrapped(s.yaw - path.heading)
         steady = (p.rear_slip * v * v - p.lr) * path.curvature
         grid = parameters[len(PARAMETERS) :]
-        wanted = (
+        angle = (
             feed_forward
             - gain_of(0, v, t, p, grid) * offset
             - gain_of(1, v, t, p, grid) * (s.vy + v * heading_error)
@@ -107,6 +107,6 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
             - gain_of(3, v, t, p, grid) * (s.yaw_rate - v * path.curvature)
         )
     out = answer_of(answer, 0)
-    out.command, out.held = limited(wanted, s, p)
+    out.command, out.held = limited(angle, s, p)
     out.offset, out.heading_error, out.curvature = offset, heading_error, curvature
     out.feed_forward = feed_forward

@@ -70,7 +70,7 @@ Settings = record(
         "residuals",  # 1: compute the KKT residual of every solution
         "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
     ),
-    whole=(
+    integers=(
         "laguerre", "terms", "preview", "informed", "curved", "feeds_forward", "learns", "solver", "max_sweeps",
         "max_changes", "residuals", "longest_horizon", "most_moves",
     ),
@@ -92,7 +92,7 @@ MEMORY = record(
         "planned", "age",  # entries of the last plan (0: none), and periods since it was made
         "reference",  # m, y_ref of the last step
     ),
-    whole=("started", "factor_status", "active", "kept", "planned", "age"),
+    integers=("started", "factor_status", "active", "kept", "planned", "age"),
 )  # fmt: skip
 
 TUNING = columns("Np", "Nc", "Q", "R")
@@ -167,7 +167,7 @@ Mpc = record("Mpc", _PARTS)
 """A batch of MPCs that share all but tuning and memory."""
 MPC = Place(Mpc)
 
-Functions = record("Functions", ("discretise", "estimate"), whole=("discretise", "estimate"))
+Functions = record("Functions", ("discretise", "estimate"), integers=("discretise", "estimate"))
 """Addresses of what the model and the estimator give, see their contracts; 0: none."""
 
 
@@ -191,7 +191,7 @@ Counts = record(
         "learner", "learned",  # likewise; 0: nothing is learned
         "curved",  # 1: the road ahead may bend
     ),
-    whole=(
+    integers=(
         "slots", "states", "parameters", "turning", "estimator", "estimates", "learner", "learned", "curved",
     ),
 )  # fmt: skip
@@ -199,15 +199,19 @@ Counts = record(
 
 
 @inlined
-def put_sizes(own, counts, table, row):
+def put_sizes(settings, counts, table, row):
     """Sizes of the arrays of an `Mpc` under `Settings`, from a row of a table on, see `layout`; the next row."""
     slots, n = counts.slots, counts.states
-    horizon, moves = own.longest_horizon, most_moves(own)
-    limited, laguerre, informed = has_output_limits(own), own.laguerre > 0, counts.slots if own.informed > 0 else 0
-    free = (own.terms if laguerre else moves) + (1 if limited else 0)  # variables of the QP
+    horizon, moves = settings.longest_horizon, most_moves(settings)
+    limited, laguerre, informed = (
+        has_output_limits(settings),
+        settings.laguerre > 0,
+        counts.slots if settings.informed > 0 else 0,
+    )
+    free = (settings.terms if laguerre else moves) + (1 if limited else 0)  # variables of the QP
     count = ROWS * moves + (OUTPUT_ROWS * horizon if limited else 0)
     np_, nc, m = vectors.padded(horizon), vectors.padded(free), vectors.padded(count)
-    inverses, work, rows, index = qp.workspace_sizes(free, count, own.solver != ACTIVE_SET)
+    inverses, work, rows, index = qp.workspace_sizes(free, count, settings.solver != ACTIVE_SET)
     row = discrete_sizes(n, table, row)
     row = put(table, row, counts.parameters)
     row = put(table, row, n)  # states
@@ -216,10 +220,10 @@ def put_sizes(own, counts, table, row):
     row = put(table, row, slots, nc)  # plan
     row = put(table, row, slots, len(ANSWER) + (len(learning.BELIEFS) if counts.learner > 0 else 0))
     row = put(table, row, len(MEASURED))
-    row = put(table, row, bend_size(horizon, own.period, counts.turning, counts.lag) if counts.curved > 0 else 0)
+    row = put(table, row, bend_size(horizon, settings.period, counts.turning, counts.lag) if counts.curved > 0 else 0)
     row = feed_forward_sizes(counts.turning, horizon + 1 if counts.curved > 0 else 0, table, row)
     for _ in range(2):  # x, d
-        row = put(table, row, n if own.informed > 0 else 0)
+        row = put(table, row, n if settings.informed > 0 else 0)
     row = put(table, row, informed, n, n)  # a
     row = put(table, row, informed, n)  # b
     row = put(table, row, counts.estimator)
@@ -247,21 +251,21 @@ def put_sizes(own, counts, table, row):
 
 
 @inlined
-def complete_settings(own, counts):
+def complete_settings(settings, counts):
     """Write of the settings what the counts say."""
-    own.learns = 1 if counts.learner > 0 else 0
-    own.curved = counts.curved
-    own.feeds_forward = 1 if counts.curved > 0 and counts.turning > 0 else 0
+    settings.learns = 1 if counts.learner > 0 else 0
+    settings.curved = counts.curved
+    settings.feeds_forward = 1 if counts.curved > 0 and counts.turning > 0 else 0
 
 
 @exported(int64(Row(Settings), Row(Counts), int_matrix), name="mpc_sizes")
-def sizes(own, counts, table):
+def sizes(settings, counts, table):
     """Write the sizes of the arrays of an `Mpc` and how many there are, see `layout`; complete its settings.
 
     The settings lie at the beginning of an `Mpc`: these may be those.
     """
-    complete_settings(own, counts)
-    return put_sizes(own, counts, table, 0)
+    complete_settings(settings, counts)
+    return put_sizes(settings, counts, table, 0)
 
 
 @exported(void(MPC), name="mpc_prepare")
@@ -270,21 +274,21 @@ def prepare(mpc):
 
     Given are the settings, `parameters`, `states`, the estimator's and the learner's numbers, `fresh` and `turning`.
     """
-    own, ws = mpc.settings, mpc.ws
-    laguerre, moves, last = own.laguerre > 0, most_moves(own), mpc.states.size - 1
+    settings, ws = mpc.settings, mpc.ws
+    laguerre, moves, last = settings.laguerre > 0, most_moves(settings), mpc.states.size - 1
     for i in range(mpc.states.size):
         mpc.model.c[i] = 1.0 if i == last else 0.0  # the last state is the output
     if laguerre:
-        laguerre_moves(own.longest_horizon, own.terms, own.pole, ws.moves)
+        laguerre_moves(settings.longest_horizon, settings.terms, settings.pole, ws.moves)
     for i in range(len(ws.rows)):
-        limit_rows(moves, own.terms if laguerre else moves, laguerre, ws.moves, ws.rows[i])
+        limit_rows(moves, settings.terms if laguerre else moves, laguerre, ws.moves, ws.rows[i])
     for slot in range(mpc.memory.size):
         mpc.memory[slot].speed = math.nan
         forget(slot, mpc)
 
 
 def batch(
-    slots: int, own: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int], curved: bool = False,
+    slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int], curved: bool = False,
     learner: tuple[Any, Any] | None = None,
 ) -> Any:  # fmt: skip
     """Fresh MPCs for `slots` slots under `Settings`; curved: whether they drive curved roads.
@@ -298,20 +302,20 @@ def batch(
         slots, len(states), len(parameters), len(turning), _lag_of(turning), len(numbers), estimates, len(learns),
         len(fresh), int(curved),
     )  # fmt: skip
-    made = _room(own, counts)
-    informed = made.informed
-    for room_for, given in (
-        (made.parameters, parameters), (made.states, states), (made.feed.turning, turning),
+    mpc_record = _room(settings, counts)
+    informed = mpc_record.informed
+    for room_for, source in (
+        (mpc_record.parameters, parameters), (mpc_record.states, states), (mpc_record.feed.turning, turning),
         (informed.estimator, numbers), (informed.learner, learns), (informed.fresh, fresh),
     ):  # fmt: skip
-        room_for[:] = given
-    prepare(made)
-    return made
+        room_for[:] = source
+    prepare(mpc_record)
+    return mpc_record
 
 
-def _room(own: Any, counts: Any) -> Any:
+def _room(settings: Any, counts: Any) -> Any:
     """Zeroed memory of MPCs under settings, those completed."""
-    (settled,) = Settings.new(1, **own._asdict())
+    (settled,) = Settings.new(1, **settings._asdict())
     complete_settings(settled, counts)
     return room(Mpc, put_sizes, settled, counts)._replace(settings=Settings(*settled.tolist()))
 
@@ -323,27 +327,27 @@ def _lag_of(turning: Any) -> float:
 def on_curved_roads(mpc: Any) -> Any:
     """The same MPCs with room for the road ahead."""
     turning = mpc.feed.turning
-    made = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
-    return mpc._replace(settings=made.settings, bend=made.bend, feed=made.feed._replace(turning=turning))
+    curved = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
+    return mpc._replace(settings=curved.settings, bend=curved.bend, feed=curved.feed._replace(turning=turning))
 
 
 @inlined
-def most_moves(own):
+def most_moves(settings):
     """The largest Nc."""
-    return min(own.most_moves, own.longest_horizon)
+    return min(settings.most_moves, settings.longest_horizon)
 
 
 @inlined
-def has_output_limits(own):
+def has_output_limits(settings):
     """Whether eq. (15) bounds the output."""
-    return own.output_min > -math.inf or own.output_max < math.inf
+    return settings.output_min > -math.inf or settings.output_max < math.inf
 
 
 @inlined
-def begin_learning(slot, own):
+def begin_learning(slot, informed):
     """Back to what is known before the first step."""
-    for i in range(own.fresh.size):
-        own.learned[slot, i] = own.fresh[i]
+    for i in range(informed.fresh.size):
+        informed.learned[slot, i] = informed.fresh[i]
 
 
 @inlined
@@ -356,9 +360,9 @@ def forget(slot, mpc):
 @inlined
 def restart(slot, mpc):
     """Likewise, but what has been learned of the car stays."""
-    own = mpc.memory[slot]
-    own.started, own.command, own.active, own.kept, own.planned, own.age = 0, 0.0, 0, 0, 0, 0
-    own.reference = 0.0
+    memory = mpc.memory[slot]
+    memory.started, memory.command, memory.active, memory.kept, memory.planned, memory.age = 0, 0.0, 0, 0, 0, 0
+    memory.reference = 0.0
     mpc.previous[slot, :] = 0.0
     mpc.informed.estimates[slot, :] = 0.0
     if mpc.settings.learns > 0:

@@ -26,10 +26,10 @@ def step_with(slot, speed, reference, tuning, mpc, functions):
 
 
 @exported(void(Place(Step)), name="mpc_step")
-def step(given):
+def step(inputs):
     """One step of the MPC; see `form_qp`."""
-    now, reference = given.now, given.reference[: whole(given.now[NOW.count])]
-    step_with(0, now[NOW.speed], reference, given.tuning, given.mpc, given.functions)
+    current, reference = inputs.now, inputs.reference[: whole(inputs.now[NOW.count])]
+    step_with(0, current[NOW.speed], reference, inputs.tuning, inputs.mpc, inputs.functions)
 
 
 @exported(void(matrix, vector, matrix, matrix, MPC, Functions, matrix))

@@ -62,8 +62,8 @@ def take_tuning(slot, tuning, caution, mpc):
     n, m = settings.terms if settings.laguerre > 0 else moves, ROWS * moves
     if has_output_limits(settings):
         n, m = n + 1, m + OUTPUT_ROWS * horizon
-    known = math.isfinite(tuning[TUNING.Np]) and math.isfinite(tuning[TUNING.Nc])
-    if not (known and math.isfinite(q) and math.isfinite(r)):
+    is_finite = math.isfinite(tuning[TUNING.Np]) and math.isfinite(tuning[TUNING.Nc])
+    if not (is_finite and math.isfinite(q) and math.isfinite(r)):
         return qp.NON_FINITE, n, m
     return qp.SOLVED if q >= 0.0 and r > 0.0 else qp.NOT_CONVEX, n, m
 
@@ -78,9 +78,9 @@ def discretise(speed, mpc, functions):
 @inlined
 def is_formed(slot, speed, mpc):
     """Whether the workspace holds this very speed and tuning, to the last bit."""
-    own, out = mpc.memory[slot], mpc.answer[slot]
-    same_horizons = out[ANSWER.Np] == own.Np and out[ANSWER.Nc] == own.Nc
-    return own.speed == speed and same_horizons and out[ANSWER.Q] == own.Q and out[ANSWER.R] == own.R
+    memory, out = mpc.memory[slot], mpc.answer[slot]
+    same_horizons = out[ANSWER.Np] == memory.Np and out[ANSWER.Nc] == memory.Nc
+    return memory.speed == speed and same_horizons and out[ANSWER.Q] == memory.Q and out[ANSWER.R] == memory.R
 
 
 @exported(void(int64, float64, boolean, MPC, Functions))
@@ -89,7 +89,7 @@ def form_model(slot, speed, of_next, mpc, functions):
 
     of_next: F is that of the next increment, see `condensing.responses`.
     """
-    settings, own, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
+    settings, memory, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
     np_, nc, q, r = whole(out[ANSWER.Np]), whole(out[ANSWER.Nc]), out[ANSWER.Q], out[ANSWER.R]
     laguerre, limited = settings.laguerre > 0, has_output_limits(settings)
     moves = settings.terms if laguerre else nc
@@ -114,9 +114,9 @@ def form_model(slot, speed, of_next, mpc, functions):
         clear_ends(moves + 1, ROWS * nc + OUTPUT_ROWS * np_, rows)
     n = moves + (1 if limited else 0)
     clear_ends(n, n, hessian)
-    own.factor_status, own.condition = factorise(n, hessian, ws.factor[slot])
-    own.kept = 0
-    own.speed, own.Np, own.Nc, own.Q, own.R = speed, np_, nc, q, r
+    memory.factor_status, memory.condition = factorise(n, hessian, ws.factor[slot])
+    memory.kept = 0
+    memory.speed, memory.Np, memory.Nc, memory.Q, memory.R = speed, np_, nc, q, r
 
 
 # -- R_s - F x~ -------------------------------------------------------------------------------------------------------
@@ -132,8 +132,8 @@ def _look_ahead(slot, horizon, reference, mpc):
         first = whole(delay)
         share = delay - first
         for j in range(horizon):
-            here, following = reference[min(first + j + 1, last)], reference[min(first + j + 2, last)]
-            ws.reference[j] = here + share * (following - here)
+            current, following = reference[min(first + j + 1, last)], reference[min(first + j + 2, last)]
+            ws.reference[j] = current + share * (following - current)
     elif mpc.settings.preview > 0:
         for j in range(horizon):
             ws.reference[j] = reference[min(j + 1, last)]
@@ -152,22 +152,22 @@ def _limit_error(slot, horizon, output, reference, mpc):
     output: predicted or measured y (m) at the end of the dead time. A car that does not know the reference ahead
     follows it `RESPONSE` late, and the limit is larger by that; a jump is no motion of the reference.
     """
-    settings, own, ws = mpc.settings, mpc.memory[slot], mpc.ws
-    limit, wanted = settings.error_max, present(reference, 0).now
+    settings, memory, ws = mpc.settings, mpc.memory[slot], mpc.ws
+    limit, target = settings.error_max, present(reference, 0).now
     if not limit < math.inf:
         return
     if settings.preview > 0:
         delay = delay_of(slot, mpc)
         last, first = reference.size - 1, whole(delay)
-        here, following = reference[min(first, last)], reference[min(first + 1, last)]
-        wanted = here + (delay - first) * (following - here)
-    elif own.started > 0:
-        speed = abs(wanted - own.reference) / settings.period
-        limit += RESPONSE * speed if speed <= STEEPEST * own.speed else 0.0
-    own.reference = present(reference, 0).now
+        current, following = reference[min(first, last)], reference[min(first + 1, last)]
+        target = current + (delay - first) * (following - current)
+    elif memory.started > 0:
+        speed = abs(target - memory.reference) / settings.period
+        limit += RESPONSE * speed if speed <= STEEPEST * memory.speed else 0.0
+    memory.reference = present(reference, 0).now
     if settings.curved > 0:
-        wanted += present(mpc.bend, 0).now
-    gap = wanted - output
+        target += present(mpc.bend, 0).now
+    gap = target - output
     beyond = gap - clip(gap, -limit, limit)
     if beyond != 0.0:
         for j in range(horizon):

@@ -110,12 +110,12 @@ def _roll(reference, road, s, parameters, memory, x):
     v, behind, (sent,) = max(s.speed, SLOWEST), p.dead_time / p.period, _sent(p, memory)
     scratch = shaped(memory[memory.size - n * (n + 3) :], n + 3, n)
     a, b, e, following = scratch[:n], scratch[n], scratch[n + 1], scratch[n + 2]
-    own = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
+    model_row = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
     distance, time, formed = 0.0, 0.0, 0.0
     for piece in range(predicted_path.count_pieces(behind), 0, -1):
         h = predicted_path.share_of(piece, behind) * p.period
         if h != formed:
-            model.discretise(v, h, own, a, b, e)
+            model.discretise(v, h, model_row, a, b, e)
             formed = h
         planned = planned_speed(road, time, s.speed, p.period)
         w = v * predicted_path.curvature_at(distance + 0.5 * planned * h, reference, road, s, p)
@@ -136,7 +136,9 @@ def _write_deviations(distance, reference, road, s, p, z):
     """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
     n, v, time = states_of(p), max(s.speed, SLOWEST), p.dead_time
     planned = planned_speed(road, time, s.speed, p.period)
-    first = now = v * predicted_path.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
+    first = first_deviation = v * predicted_path.curvature_at(
+        distance + 0.5 * planned * p.period, reference, road, s, p
+    )
     heading, steering = p.rear_slip * v - p.lr / v, p.wheelbase / v + p.understeer * v
     state = state_of(z, 0)
     state.vy += v * heading * first
@@ -149,7 +151,7 @@ def _write_deviations(distance, reference, road, s, p, z):
         time += p.period
         planned = planned_speed(road, time, s.speed, p.period)
         later = v * predicted_path.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
-        z[n + j], now = later - now, later
+        z[n + j], first_deviation = later - first_deviation, later
     return first, steering
 
 
@@ -161,7 +163,7 @@ def apply_gains(v, t, p, z, grid):
     i, a = node_below(log(v), p.log_speed, p.log_speed_step, p.speeds)
     j, b = node_below(log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
     k, c = node_below(log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
-    n, found = whole(p.weights), 0.0
+    n, angle = whole(p.weights), 0.0
     for di in range(2):
         for dj in range(2):
             for dk in range(2):
@@ -170,15 +172,15 @@ def apply_gains(v, t, p, z, grid):
                 product = 0.0
                 for g in range(z.size):
                     product += grid[first + g] * z[g]
-                found += share * product
-    return found
+                angle += share * product
+    return angle
 
 
 @exported(LAW_SIGNATURE)
 def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
     """u = U w_0 - K x~ + sum_j g_j (w_j+1 - w_j); see the head of this file."""
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
-    wanted = offset = heading_error = curvature = feed_forward = math.nan
+    angle = offset = heading_error = curvature = feed_forward = math.nan
     (sent,) = _sent(p, memory)
     if math.isfinite(s.command):
         predicted_path.take_command(s.command, p.dead_time / p.period, p.period, p.lag, sent)
@@ -196,8 +198,8 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
         w, steering = _write_deviations(distance, reference, road, s, p, z)
         curvature, feed_forward = w / v, steering * w
         grid = parameters[len(PARAMETERS) + OF_THE_MODEL :]
-        wanted = feed_forward + apply_gains(v, t, p, z, grid)
+        angle = feed_forward + apply_gains(v, t, p, z, grid)
     out = answer_of(answer, 0)
-    out.command, out.held = limited(wanted, s, p)
+    out.command, out.held = limited(angle, s, p)
     out.offset, out.heading_error, out.curvature = offset, heading_error, curvature
     out.feed_forward = feed_forward

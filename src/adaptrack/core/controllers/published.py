@@ -29,19 +29,19 @@ def _turn_previous(slot, mpc):
 @inlined
 def _increment(slot, mpc):
     """Write x(k) - x(k-1), zero at the first step; the measured y (m)."""
-    started, now = mpc.memory[slot].started > 0, 0.0
+    started, command = mpc.memory[slot].started > 0, 0.0
     if mpc.settings.curved > 0:
         _turn_previous(slot, mpc)
     for i in range(mpc.states.size):
-        now = mpc.measured[mpc.states[i]]
-        mpc.ws.change[i] = now - mpc.previous[slot, i] if started else 0.0 * now
-    return now  # the last state is the output
+        command = mpc.measured[mpc.states[i]]
+        mpc.ws.change[i] = command - mpc.previous[slot, i] if started else 0.0 * command
+    return command  # the last state is the output
 
 
 @exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
 def form_published(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
-    settings, own = mpc.settings, mpc.memory[slot]
+    settings, memory = mpc.settings, mpc.memory[slot]
     mpc.answer[slot, ANSWER.dead_reckoning] = 0.0
     status, n, m = take_tuning(slot, tuning, 1.0, mpc)
     if status != qp.SOLVED:
@@ -52,7 +52,7 @@ def form_published(slot, speed, reference, tuning, mpc, functions):
     compare(slot, _increment(slot, mpc), reference, mpc)
     limit_moves(slot, mpc)
     complete(slot, speed, n, mpc)
-    return own.factor_status, n, m
+    return memory.factor_status, n, m
 
 
 @inlined

@@ -43,7 +43,7 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
     The target is the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity.
     """
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
-    wanted = distance = alpha = math.nan
+    angle = distance = alpha = math.nan
     if all_finite(situation) and all_finite(tuning):
         v = max(s.speed, SLOWEST)
         ahead = max(t.lookahead_time * v, t.lookahead_min)
@@ -54,7 +54,7 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
         sideways = y * cos(s.yaw) - x * sin(s.yaw)
         distance = hypot(forward, sideways)
         alpha = atan2(sideways, forward)
-        wanted = atan2(2.0 * p.wheelbase * sin(alpha), distance)
+        angle = atan2(2.0 * p.wheelbase * sin(alpha), distance)
     out = answer_of(answer, 0)
-    out.command, out.held = limited(wanted, s, p)
+    out.command, out.held = limited(angle, s, p)
     out.distance, out.alpha = distance, alpha

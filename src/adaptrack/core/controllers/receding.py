@@ -47,21 +47,21 @@ def _qp_in(slot, n, m, mpc):
 @exported(several(int64, int64)(int64, int64, int64, MPC))
 def _solve_qp(slot, n, m, mpc):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
-    settings, own = mpc.settings, mpc.memory[slot]
+    settings, memory = mpc.settings, mpc.memory[slot]
     problem, solution, scratch = _qp_in(slot, n, m, mpc)
-    factor = qp.factor_of(mpc.ws.factor[slot], own.condition)
+    factor = qp.factor_of(mpc.ws.factor[slot], memory.condition)
     status, iterations = qp.CAPPED, 0
     if settings.solver != ACTIVE_SET:
-        own.active = 0
+        memory.active = 0
         status, iterations = hildreth(
             problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
         )
     if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
         most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
-        status, more, active = active_set(problem, factor, solution, scratch, own.active, own.kept > 0, most)
-        own.active, own.kept = active, 1
-        iterations += more
+        status, further, active = active_set(problem, factor, solution, scratch, memory.active, memory.kept > 0, most)
+        memory.active, memory.kept = active, 1
+        iterations += further
     return status, iterations
 
 
@@ -79,19 +79,19 @@ def _move_of(settings, sample, solution, moves):
 @inlined
 def _planned_move(slot, mpc):
     """The move that the last plan has for this period, zero behind its end."""
-    settings, own = mpc.settings, mpc.memory[slot]
-    own.age += 1
-    last = whole(own.Np) if settings.laguerre > 0 else own.planned
-    if own.planned == 0 or own.age >= last:
+    settings, memory = mpc.settings, mpc.memory[slot]
+    memory.age += 1
+    last = whole(memory.Np) if settings.laguerre > 0 else memory.planned
+    if memory.planned == 0 or memory.age >= last:
         return 0.0
-    return _move_of(settings, own.age, mpc.plan[slot], mpc.ws.moves)
+    return _move_of(settings, memory.age, mpc.plan[slot], mpc.ws.moves)
 
 
 @inlined
 def _planned(slot, mpc):
     """How many moves the last plan has."""
-    own = mpc.memory[slot]
-    return whole(own.Np) if mpc.settings.laguerre > 0 and own.planned > 0 else own.planned
+    memory = mpc.memory[slot]
+    return whole(memory.Np) if mpc.settings.laguerre > 0 and memory.planned > 0 else memory.planned
 
 
 @exported(void(int64, MPC, vector))
@@ -142,13 +142,13 @@ def _limits_reached(slot, move, angle, m, mpc):
 @inlined
 def _remember(slot, angle, mpc):
     """What the next step needs of this one."""
-    own = mpc.memory[slot]
-    own.command = angle
+    memory = mpc.memory[slot]
+    memory.command = angle
     for i in range(mpc.states.size):
-        now = mpc.measured[mpc.states[i]]
-        if math.isfinite(now):
-            mpc.previous[slot, i] = now
-    own.started = 1
+        value = mpc.measured[mpc.states[i]]
+        if math.isfinite(value):
+            mpc.previous[slot, i] = value
+    memory.started = 1
 
 
 @exported(void(int64, int64, int64, int64, int64, MPC))
@@ -159,14 +159,14 @@ def apply_move(slot, status, iterations, n, m, mpc):
     clipped to its limits. Where nothing solves, the next move of the last plan is taken, none when the data are not
     finite, and the answer says `held`.
     """
-    settings, own, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
+    settings, memory, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
     usable = status == qp.SOLVED or (status == qp.CAPPED and settings.solver == HILDRETH_APPLIED)
     move = _move_of(settings, 0, ws.solution, ws.moves) if usable else 0.0
     usable = usable and math.isfinite(move)
     if usable:
         for b in range(0, vectors.padded(n), vectors.WIDTH):
             vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
-        own.planned, own.age = n - (1 if has_output_limits(settings) else 0), 0  # the slack is no move
+        memory.planned, memory.age = n - (1 if has_output_limits(settings) else 0), 0  # the slack is no move
     else:
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
@@ -178,8 +178,8 @@ def apply_move(slot, status, iterations, n, m, mpc):
         total = move + of_road
     else:
         total = clip(move + of_road, settings.move_min, settings.move_max)
-    angle = clip(own.command + total, settings.angle_min, settings.angle_max)
-    out[ANSWER.command], out[ANSWER.command_change] = angle, angle - own.command
+    angle = clip(memory.command + total, settings.angle_min, settings.angle_max)
+    out[ANSWER.command], out[ANSWER.command_change] = angle, angle - memory.command
     out[ANSWER.qp_status], out[ANSWER.qp_iterations] = status, iterations
     out[ANSWER.held] = 0.0 if usable else 1.0
     out[ANSWER.at_limit] = _limits_reached(slot, move, angle, m, mpc) if usable else 0.0
@@ -198,9 +198,9 @@ def move_on(slot, status, n, m, mpc):
 @inlined
 def stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
-    own, out = mpc.memory[slot], mpc.answer[slot]
-    angle = clip(own.command, mpc.settings.angle_min, mpc.settings.angle_max)
-    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = angle, angle - own.command, 0.0
+    memory, out = mpc.memory[slot], mpc.answer[slot]
+    angle = clip(memory.command, mpc.settings.angle_min, mpc.settings.angle_max)
+    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = angle, angle - memory.command, 0.0
     out[ANSWER.qp_status], out[ANSWER.qp_iterations], out[ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
     out[ANSWER.at_limit] = 0.0
     _remember(slot, angle, mpc)

@@ -54,7 +54,7 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
     r_path = v kappa and a_y = v^2 kappa are those of the path there.
     """
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
-    wanted = offset = heading_error = curvature = math.nan
+    angle = offset = heading_error = curvature = math.nan
     if all_finite(situation) and all_finite(tuning):
         v = max(s.speed, SLOWEST)
         dead_time = max(t.dead_time, 0.0)
@@ -66,12 +66,12 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
             x = dead_time * s.speed * cos(s.yaw) + p.lf * cos(yaw)
             offset = left_of(path, x, y + p.lf * sin(yaw))
         heading_error = wrapped(path.heading - yaw)
-        wanted = (
+        angle = (
             heading_error
             + p.front_slip * v * v * curvature
             + atan2(t.gain * offset, max(t.softening, 0.0) + v)
             + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
         )
     out = answer_of(answer, 0)
-    out.command, out.held = limited(wanted, s, p)
+    out.command, out.held = limited(angle, s, p)
     out.offset, out.heading_error, out.curvature = offset, heading_error, curvature

@@ -41,8 +41,8 @@ def _bits(x: Any) -> Any:
 
 
 def _floats(number: Any) -> Any:
-    found = number.view(np.float64)
-    return found if found.ndim else float(found)
+    value = number.view(np.float64)
+    return value if value.ndim else float(value)
 
 
 @primitive
@@ -52,14 +52,14 @@ def upper_half(x: Any) -> Any:
 
 
 @primitive
-def to_odd(x: Any, rest: Any) -> Any:
+def to_odd(x: Any, remainder: Any) -> Any:
     """x + rest rounded to odd, of floats or of eight at a time: x is their sum, and `rest` what its rounding dropped.
 
     Of the two floats around an inexact sum it is the one whose last bit is set.
     """
     number = _bits(x)
-    step = ((number ^ _bits(rest)) >> 63) | 1
-    return _floats(np.where((np.asarray(rest) != 0.0) & (number & 1 == 0), number + step, number))
+    step = ((number ^ _bits(remainder)) >> 63) | 1
+    return _floats(np.where((np.asarray(remainder) != 0.0) & (number & 1 == 0), number + step, number))
 
 
 @primitive

@@ -39,15 +39,15 @@ def to_places(x, places):
             return x  # nothing to be rounded
         below = floor(product)
         beyond = (product - below - 0.5) + fma(a, power, -product)  # its sign is exact
-        found = (below + 1.0 if beyond > 0.0 or (beyond == 0.0 and _is_odd(below)) else below) / power
+        rounded = (below + 1.0 if beyond > 0.0 or (beyond == 0.0 and _is_odd(below)) else below) / power
     else:
         quotient = floor(a / power)
-        rest = fma(-quotient, power, a)
-        if rest < 0.0:
-            quotient, rest = quotient - 1.0, rest + power
-        beyond = rest - 0.5 * power
-        found = (quotient + 1.0 if beyond > 0.0 or (beyond == 0.0 and _is_odd(quotient)) else quotient) * power
-    return math.copysign(found, x)
+        remainder = fma(-quotient, power, a)
+        if remainder < 0.0:
+            quotient, remainder = quotient - 1.0, remainder + power
+        beyond = remainder - 0.5 * power
+        rounded = (quotient + 1.0 if beyond > 0.0 or (beyond == 0.0 and _is_odd(quotient)) else quotient) * power
+    return math.copysign(rounded, x)
 
 
 @exported(float64(float64, int64))

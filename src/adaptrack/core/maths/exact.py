@@ -93,10 +93,10 @@ def fmod(x: float, y: float) -> float:
 @exported(float64(float64, float64))
 def modulo(a: float, b: float) -> float:
     """a % b as Python has it, of the sign of b; NaN for b = 0."""
-    rest = fmod(a, b)
-    if rest == 0.0:
+    remainder = fmod(a, b)
+    if remainder == 0.0:
         return math.copysign(0.0, b)
-    return rest + b if (rest < 0.0) != (b < 0.0) else rest
+    return remainder + b if (remainder < 0.0) != (b < 0.0) else remainder
 
 
 @exported(float64(float64))
@@ -230,10 +230,10 @@ def _rounded_to_odd(a, b, c):
     """a b + c, rounded once: what is left of the sum, rounded to odd, is taken off it (S. Boldo and G. Melquiond,
     Emulation of a FMA and correctly rounded sums, 2008).
     """
-    s, rest, low = _exact_parts(a, b, c)
-    left_over = rest + low
-    low1 = left_over - rest
-    return s - to_odd(left_over, (rest - (left_over - low1)) + (low - low1))
+    s, remainder, low = _exact_parts(a, b, c)
+    left_over = remainder + low
+    low1 = left_over - remainder
+    return s - to_odd(left_over, (remainder - (left_over - low1)) + (low - low1))
 
 
 @inlined
@@ -243,8 +243,8 @@ def _fused(a, b, c):
     It is not where something overflows or digits underflow. Nor where what is left of the sum, rounded, makes it lie
     halfway between two floats: what that rounding dropped, which is less than its last digit, then decides.
     """
-    s, rest, low = _exact_parts(a, b, c)
-    left_over = rest + low
+    s, remainder, low = _exact_parts(a, b, c)
+    left_over = remainder + low
     y = s - left_over
     return y, usual_sum(a, b, c, y, (s - y) - left_over)
 
@@ -282,10 +282,10 @@ def soft_sqrt(x: float) -> float:
     if e & 1 == 1:
         m, e = m << 1, e - 1
     # the root of m 2^54, of 54 bits: m is taken in two bits at a time, as in a long division
-    root, rest = 0, 0
+    root, remainder = 0, 0
     for i in range(54):
         pair = right(m, 52 - 2 * i) & 3 if i <= 26 else 0
-        rest, root = (rest << 2) | pair, root << 1
-        if rest > 2 * root:
-            rest, root = rest - (2 * root + 1), root + 1
+        remainder, root = (remainder << 2) | pair, root << 1
+        if remainder > 2 * root:
+            remainder, root = remainder - (2 * root + 1), root + 1
     return scaled(float((root >> 1) + (1 if root & 1 == 1 else 0)), (e - 54) // 2 + 1)

@@ -63,15 +63,15 @@ def _halvings(x):
     k = rounded - ROUNDER
     first = fma(-k, _LN_2, x)  # exact
     r = fma(-k, _LN_2_LOW, first)
-    rest = fma(-k, _LN_2_LOW, first - r)
-    return (bits_of(rounded) & (2**52 - 1)) - 2**51, r, rest
+    remainder = fma(-k, _LN_2_LOW, first - r)
+    return (bits_of(rounded) & (2**52 - 1)) - 2**51, r, remainder
 
 
 @inlined
-def _exp_of(k, r, rest):
+def _exp_of(k, r, remainder):
     """2^k exp(r + rest), |r| <= 0.35, for a `rest` below one unit in the last place of r."""
     first = 1.0 + r
-    small = fma(r * r, fma(r, ten(r, *_EXPONENTIAL), 0.5), first * rest)
+    small = fma(r * r, fma(r, ten(r, *_EXPONENTIAL), 0.5), first * remainder)
     return scaled(first + (((1.0 - first) + r) + small), k)
 
 
@@ -85,8 +85,8 @@ def _inside(x):
 @inlined
 def exp(x: float) -> float:
     """e^x: infinite above 709.78, zero below -745.13."""
-    k, r, rest = _halvings(_inside(x))
-    return _exp_of(k, r, rest)
+    k, r, remainder = _halvings(_inside(x))
+    return _exp_of(k, r, remainder)
 
 
 @exported(float64(float64))
@@ -97,10 +97,10 @@ def tanh(x: float) -> float:
         return x
     if a > 22.0:
         return math.copysign(1.0, x)
-    n, r, rest = _halvings(2.0 * a)
+    n, r, remainder = _halvings(2.0 * a)
     half = 0.5 * r
     square = half * r
-    small = fma(rest, r, rest) + fma(half, r, -square) + r * r * r * ten(r, *_EXPONENTIAL)
+    small = fma(remainder, r, remainder) + fma(half, r, -square) + r * r * r * ten(r, *_EXPONENTIAL)
     first = r + square
     unit = two_to(n)
     first, small = first * unit, (((r - first) + square) + small) * unit
@@ -130,16 +130,16 @@ def _log_of(k, f, f_low):
     cube_low = fma(s, t, -cube) + fma(s, t_low, s_low * t)
     third = _TWO_THIRDS * cube
     third_low = fma(_TWO_THIRDS, cube, -third) + fma(_TWO_THIRDS, cube_low, _TWO_THIRDS_LOW * cube)
-    rest = seven(t, *_LOGARITHM)
-    fifth = cube * t * rest
+    remainder = seven(t, *_LOGARITHM)
+    fifth = cube * t * remainder
     tail = third + fifth
-    tail_low = ((third - tail) + fifth) + fma(fma(cube, t_low, cube_low * t), rest, third_low)
+    tail_low = ((third - tail) + fifth) + fma(fma(cube, t_low, cube_low * t), remainder, third_low)
     double = 2.0 * s
     part = double + tail
     part_low = ((double - part) + tail) + fma(2.0, s_low, tail_low)
-    whole = k * _LN_2  # exact
-    total = whole + part
-    low = ((whole - total) + part) + fma(k, _LN_2_LOW, part_low)
+    leading = k * _LN_2  # exact
+    total = leading + part
+    low = ((leading - total) + part) + fma(k, _LN_2_LOW, part_low)
     hi = total + low
     return hi, (total - hi) + low
 
@@ -217,10 +217,10 @@ def power(x: float, y: float) -> float:
     hi, low = _log_as_sum(a)
     product = y * hi
     low = fma(y, hi, -product) + y * low
-    k, r, rest = _halvings(_inside(product))
-    rest += low if abs(product) < -_LOWEST else 0.0
-    total = r + rest
-    return sign * _exp_of(k, total, rest + (r - total))
+    k, r, remainder = _halvings(_inside(product))
+    remainder += low if abs(product) < -_LOWEST else 0.0
+    total = r + remainder
+    return sign * _exp_of(k, total, remainder + (r - total))
 
 
 @exported(float64(float64, float64))

@@ -83,13 +83,13 @@ def phi_functions(z, p0, p1, p2, p3):
     _step(scaled, p3, 0.5, p2)
     _step(scaled, p2, 1.0, p1)
     _step(scaled, p1, 1.0, p0)
-    two = splat(2.0)
+    twos = splat(2.0)
     for _ in range(halvings):
         for i in range(n):
-            row = add(add(_row(p1, i, p2), load(p2, i, 0)), mul(load(p3, i, 0), two))
+            row = add(add(_row(p1, i, p2), load(p2, i, 0)), mul(load(p3, i, 0), twos))
             store(p3, i, 0, mul(row, splat(0.125)))
         for i in range(n):
-            row = add(_row(p1, i, p1), mul(load(p2, i, 0), two))
+            row = add(_row(p1, i, p1), mul(load(p2, i, 0), twos))
             store(p2, i, 0, mul(row, splat(0.25)))
         for i in range(n):
             store(spare, i, 0, mul(add(_row(p0, i, p1), load(p1, i, 0)), splat(0.5)))

@@ -142,9 +142,9 @@ def _near(x):
     """
     rounded = fma(x, _TWO_OVER_PI, ROUNDER)
     k = rounded - ROUNDER
-    rest = fma(-k, _FIRST, x)  # exact
-    y = fma(-k, _SECOND, rest)
-    low = fma(-k, _THIRD, fma(-k, _SECOND, rest - y))
+    remainder = fma(-k, _FIRST, x)  # exact
+    y = fma(-k, _SECOND, remainder)
+    low = fma(-k, _THIRD, fma(-k, _SECOND, remainder - y))
     return bits_of(rounded), y, low
 
 
@@ -319,8 +319,8 @@ def atan2(y: float, x: float) -> float:
         return math.copysign(_HALF_PI, y)
     angle, low = _angle_of(a, b)
     if left:
-        rest = _PI - angle
-        angle, low = rest, ((_PI - rest) - angle) + (_PI_LOW - low)
+        supplement = _PI - angle
+        angle, low = supplement, ((_PI - supplement) - angle) + (_PI_LOW - low)
     return math.copysign(angle + low, y)
 
 

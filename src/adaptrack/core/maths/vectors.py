@@ -187,5 +187,5 @@ def keep_last(a: Any, start: int) -> Any:
 @primitive
 def first_equal(a: Any, value: float) -> int:
     """The first entry that equals ``value``; `WIDTH` when none does."""
-    found = np.flatnonzero(a == value)
-    return int(found[0]) if found.size else WIDTH
+    matches = np.flatnonzero(a == value)
+    return int(matches[0]) if matches.size else WIDTH

@@ -80,6 +80,6 @@ def road_edges(line, left, right, places, edges):
         x, y, heading, _ = point_at(places[i], line)
         across, along = cos(heading), -sin(heading)
         place = on_lap(places[i], line)
-        near, far = value_at(place, left), value_at(place, right)
+        near, right_edge = value_at(place, left), value_at(place, right)
         edges[i, 0], edges[i, 1] = x + near * along, y + near * across
-        edges[i, 2], edges[i, 3] = x - far * along, y - far * across
+        edges[i, 2], edges[i, 3] = x - right_edge * along, y - right_edge * across

@@ -107,16 +107,16 @@ def write_cells(route, spacing, stops, table):
         k = min(last_at(stops[i], s), s.size - 2)
         stops[i] = s[k] if stops[i] - s[k] < s[k + 1] - stops[i] else s[k + 1]
     for k in range(s.size - 1):
-        here, there = s[k], s[k + 1]
-        while row + 1 < len(line.pieces) and line.start[row + 1] <= here:
+        start, there = s[k], s[k + 1]
+        while row + 1 < len(line.pieces) and line.start[row + 1] <= start:
             row += 1
-        first = _curvature_at(here, row, line)
+        first = _curvature_at(start, row, line)
         while row + 1 < len(line.pieces) and line.start[row + 1] < there:
             row += 1
         last = _curvature_at(there, row, line)
         table[PLAN.first, k], table[PLAN.last, k] = first, last
         table[PLAN.curvature, k] = first if abs(first) > abs(last) else last
-        table[PLAN.bank, k] = value_at(0.5 * (here + there), route.bank)
-        table[PLAN.friction, k] = least_between(here, there, route.friction)
-        table[PLAN.speed_limit, k] = least_between(here, there, route.speed_limit)
+        table[PLAN.bank, k] = value_at(0.5 * (start + there), route.bank)
+        table[PLAN.friction, k] = least_between(start, there, route.friction)
+        table[PLAN.speed_limit, k] = least_between(start, there, route.speed_limit)
         table[PLAN.cornering, k] = table[PLAN.margins, k] = math.inf

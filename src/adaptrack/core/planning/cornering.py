@@ -68,8 +68,8 @@ def _slip_for(share, axle, car):
             low = middle
         else:
             high = middle
-    near, far = _pull(low, axle, car), _pull(high, axle, car)
-    return _slip_of(low) + (_slip_of(high) - _slip_of(low)) / (far - near) * (share - near)
+    near, high_pull = _pull(low, axle, car), _pull(high, axle, car)
+    return _slip_of(low) + (_slip_of(high) - _slip_of(low)) / (high_pull - near) * (share - near)
 
 
 @inlined
@@ -103,15 +103,15 @@ def cornering_limits(plant, steering_limit, friction, limits):
     most = STEERING_LIMIT if math.isnan(steering_limit) else steering_limit
     tightest = tan(min(most, _STEEPEST)) / (car.lf + car.lr)
     for j in range(BENDS):
-        held, failed = 0, _SHARES
-        while failed - held > 1:
-            i = (held + failed) // 2
+        feasible, failed = 0, _SHARES
+        while failed - feasible > 1:
+            i = (feasible + failed) // 2
             acceleration = i * (_LARGEST_SHARE / (_SHARES - 1)) * friction * GRAVITY
             if _is_held(acceleration, tightest / (BENDS - 1) * j, most, friction, car):
-                held = i
+                feasible = i
             else:
                 failed = i
-        limits[j] = held * (_LARGEST_SHARE / (_SHARES - 1)) * friction * GRAVITY
+        limits[j] = feasible * (_LARGEST_SHARE / (_SHARES - 1)) * friction * GRAVITY
     return tightest
 
 

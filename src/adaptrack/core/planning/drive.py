@@ -110,13 +110,13 @@ def reference_ahead(period, reference, change, acceleration):
     """
     ahead = _instants_ahead(period)
     for k in range(change.size):
-        here, one = _reference_at(k, reference), _reference_at(k + 1, reference)
-        largest, bend, slope = abs(one - here), 0.0, one - here
+        first, second = _reference_at(k, reference), _reference_at(k + 1, reference)
+        largest, bend, slope = abs(second - first), 0.0, second - first
         for j in range(2, ahead + 1):
             other = _reference_at(k + j, reference)
-            largest = max(largest, abs(other - here))
-            bend = max(bend, abs(other - one - slope))
-            one, slope = other, other - one
+            largest = max(largest, abs(other - first))
+            bend = max(bend, abs(other - second - slope))
+            second, slope = other, other - second
         change[k], acceleration[k] = largest, bend / (period * period)
 
 

@@ -126,9 +126,9 @@ def _left(k, w, lever, table):
     if sideways < 1e-6 * grip:
         return b
     for _ in range(UNLOADINGS):
-        rest = 1.0 - lever * b
-        over = b * b + square(sideways / rest) - grip * grip
-        b -= over / (2.0 * b + 2.0 * lever * square(sideways) / (rest * rest * rest))
+        remaining = 1.0 - lever * b
+        over = b * b + square(sideways / remaining) - grip * grip
+        b -= over / (2.0 * b + 2.0 * lever * square(sideways) / (remaining * remaining * remaining))
     return max(b, 0.0)
 
 
@@ -146,11 +146,11 @@ def _brakings(k, w, car, planning):
 
     What air and rolling add is left to the tyres as a reserve.
     """
-    held = math.inf
+    steady = math.inf
     if planning.held_at.size > 0:
-        held = max(between(w, last_at(w, planning.held_at), planning.held_at, planning.held[k]), 0.0)
+        steady = max(between(w, last_at(w, planning.held_at), planning.held_at, planning.held[k]), 0.0)
     brakes = car.brakes / car.mass + _slowed(w, car)
-    return planning.bounds.brake, _left(k, w, car.front, planning.table), brakes, held
+    return planning.bounds.brake, _left(k, w, car.front, planning.table), brakes, steady
 
 
 @inlined
@@ -163,8 +163,8 @@ def _drive(k, w, car, planning):
 @inlined
 def _brake(k, w, car, planning):
     """The largest deceleration (m/s^2) between two places at v^2 = w."""
-    comfort, grip, brakes, held = _brakings(k, w, car, planning)
-    return min(min(comfort, grip), min(brakes, held))
+    comfort, grip, brakes, steady = _brakings(k, w, car, planning)
+    return min(min(comfort, grip), min(brakes, steady))
 
 
 # -- the largest speed at a place -------------------------------------------------------------------------------------
@@ -186,9 +186,9 @@ def _square_of_turning(k, jerk, table):
 
 
 @inlined
-def _lower(least, named, bound, name):
+def _lower(least, limit, bound, name):
     """The smaller one of two bounds and its name, the first where they are equal."""
-    return (bound, name) if bound < least else (least, named)
+    return (bound, name) if bound < least else (least, limit)
 
 
 @inlined
@@ -196,16 +196,16 @@ def _bound_between(k, planning):
     """The largest v^2 between two places, whatever comes before and after, and what bounds it."""
     table, bounds = planning.table, planning.bounds
     curvature, tilt, limit = table[PLAN.curvature, k], table[PLAN.tilt, k], table[PLAN.speed_limit, k]
-    least, named = _square_in_bend(bounds.lateral, curvature, tilt), LIMIT.lateral
-    least, named = _lower(least, named, _square_in_bend(table[PLAN.grip, k], curvature, tilt), LIMIT.grip)
-    least, named = _lower(least, named, _square_of_turning(k, bounds.lateral_jerk, table), LIMIT.curvature_rate)
-    least, named = _lower(least, named, limit * limit, LIMIT.speed_limit)
-    least, named = _lower(least, named, table[PLAN.margins, k], LIMIT.margins)
+    least, binding = _square_in_bend(bounds.lateral, curvature, tilt), LIMIT.lateral
+    least, binding = _lower(least, binding, _square_in_bend(table[PLAN.grip, k], curvature, tilt), LIMIT.grip)
+    least, binding = _lower(least, binding, _square_of_turning(k, bounds.lateral_jerk, table), LIMIT.curvature_rate)
+    least, binding = _lower(least, binding, limit * limit, LIMIT.speed_limit)
+    least, binding = _lower(least, binding, table[PLAN.margins, k], LIMIT.margins)
     if not math.isnan(bounds.top_speed):
-        return _lower(least, named, square(bounds.top_speed), LIMIT.top_speed)
+        return _lower(least, binding, square(bounds.top_speed), LIMIT.top_speed)
     if limit > bounds.no_limit:
-        return _lower(least, named, square(bounds.domain_speed), LIMIT.domain)
-    return least, named
+        return _lower(least, binding, square(bounds.domain_speed), LIMIT.domain)
+    return least, binding
 
 
 @inlined
@@ -232,12 +232,12 @@ def _write_ceiling(planning):
     _, places = table.shape
     before, named_before = math.inf, LIMIT.lateral
     for k in range(places):
-        after, named = math.inf, LIMIT.lateral
+        after, limit = math.inf, LIMIT.lateral
         if k < places - 1:
-            after, named = _bound_between(k, planning)
+            after, limit = _bound_between(k, planning)
         table[PLAN.ceiling, k] = min(before, after)
-        table[PLAN.named, k] = named_before if before <= after else named
-        before, named_before = after, named
+        table[PLAN.named, k] = named_before if before <= after else limit
+        before, named_before = after, limit
     for i in range(planning.stops.size):
         for k in range(places):
             if table[PLAN.s, k] == planning.stops[i]:
@@ -382,23 +382,23 @@ _four = local(4)
 def _binds(k, car, planning):
     """What bounds the acceleration between two places."""
     table, most = planning.table, _four()
-    here, there = table[PLAN.square, k], table[PLAN.square, k + 1]
-    if there >= here or _drive(k, here, car, planning) < 0.0:
+    start, there = table[PLAN.square, k], table[PLAN.square, k + 1]
+    if there >= start or _drive(k, start, car, planning) < 0.0:
         names = (LIMIT.accelerate, LIMIT.grip, LIMIT.power, LIMIT.power)
-        one, other = _drives(k, here, car, planning), _drives(k, there, car, planning)
+        first, other = _drives(k, start, car, planning), _drives(k, there, car, planning)
         for i in range(3):
-            most[i] = min(one[i], other[i])
+            most[i] = min(first[i], other[i])
         most[3] = math.inf
     else:
         names = (LIMIT.brake, LIMIT.grip, LIMIT.brakes, LIMIT.margins)
-        before, behind = _brakings(k, here, car, planning), _brakings(k, there, car, planning)
+        before, behind = _brakings(k, start, car, planning), _brakings(k, there, car, planning)
         for i in range(4):
             most[i] = min(before[i], behind[i])
     least = 0
     for i in range(1, 4):
         if most[i] < most[least]:
             least = i
-    used = abs(there - here) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
+    used = abs(there - start) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
     soft = planning.bounds.jerk < math.inf and used < ALL_OF_IT * most[least]
     return LIMIT.jerk if soft else names[least]
 
@@ -412,10 +412,10 @@ def plan_binding(planning):
     table, car = planning.table, _powertrain(planning.car)
     _, places = table.shape
     for k in range(places - 1):
-        here, there = table[PLAN.square, k], table[PLAN.square, k + 1]
+        start, there = table[PLAN.square, k], table[PLAN.square, k + 1]
         low, high = table[PLAN.ceiling, k] * (1.0 - AT_CEILING), table[PLAN.ceiling, k + 1] * (1.0 - AT_CEILING)
-        if here >= low and there >= high:
-            table[PLAN.binding, k] = table[PLAN.named, k] if here <= there else table[PLAN.named, k + 1]
+        if start >= low and there >= high:
+            table[PLAN.binding, k] = table[PLAN.named, k] if start <= there else table[PLAN.named, k + 1]
         else:
             table[PLAN.binding, k] = _binds(k, car, planning)
 
@@ -433,13 +433,13 @@ _limits = local(BENDS)
 @inlined
 def _write_cornering(planning):
     """Write what the car can corner with between the places, by the tables of their frictions."""
-    table, limits, known, tightest = planning.table, _limits(), math.nan, 0.0
+    table, limits, last_curvature, tightest = planning.table, _limits(), math.nan, 0.0
     _, places = table.shape
     for k in range(places - 1):
         friction = table[PLAN.friction, k]
-        if friction != known:
+        if friction != last_curvature:
             tightest = cornering_limits(planning.car, planning.bounds.steering_limit, friction, limits)
-            known = friction
+            last_curvature = friction
         table[PLAN.cornering, k] = cornering_at(table[PLAN.curvature, k], tightest, limits)
 
 

@@ -95,9 +95,9 @@ def vehicle_sizes(slots, parameters, states, table, row):
 def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
     """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
     slots, n = np.shape(start)
-    made = room(Vehicles, vehicle_sizes, slots, len(parameters), n)
-    made.parameters[:], made.start[:] = parameters, start
-    return made._replace(**{name: address_of(getattr(compiled, name)) for name in ("advance", "observe", "member")})
+    vehicles = room(Vehicles, vehicle_sizes, slots, len(parameters), n)
+    vehicles.parameters[:], vehicles.start[:] = parameters, start
+    return vehicles._replace(**{name: address_of(getattr(compiled, name)) for name in ("advance", "observe", "member")})
 
 
 class CompiledPlant(NamedTuple):

@@ -63,8 +63,8 @@ def right_hand_side(x, u, c, law):
     y_rr = lateral_force(b_rr, z_rr, mu_rr, c.stiffness_rear, c, law)
     sd, cd = fast_sine(delta), fast_cosine(delta)
     side, moment, drag = wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
-    driven = u.acceleration != u.acceleration
-    demand = u.force if driven else 0.0
+    follows_speed = u.acceleration != u.acceleration
+    demand = u.force if follows_speed else 0.0
     share = c.drive_front if demand >= 0.0 else c.brake_front
     front_half, rear_half = 0.5 * share * demand, 0.5 * (1.0 - share) * demand
     x_fl = clip(front_half, -mu_fl * z_fl, mu_fl * z_fl)
@@ -89,7 +89,7 @@ def right_hand_side(x, u, c, law):
         + moment
     ) * (1.0 / c.yaw_inertia)
     free = (bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
-    dvx = free if driven else u.acceleration
+    dvx = free if follows_speed else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
     return State(
         x=vx * co - vy * s,

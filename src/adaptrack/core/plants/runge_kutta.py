@@ -45,11 +45,11 @@ def _fill_group(block, slots):
 
     A vehicle alone stays so: where registers hold two numbers, seven others would cost four times as much.
     """
-    whole = slots if slots == 1 else (slots + GROUP - 1) // GROUP * GROUP
-    for i in range(slots, whole):
+    padded_slots = slots if slots == 1 else (slots + GROUP - 1) // GROUP * GROUP
+    for i in range(slots, padded_slots):
         for row in range(STATES + INPUTS):
             block[row * SLOTS + i] = block[row * SLOTS]
-    return whole
+    return padded_slots
 
 
 @inlined

@@ -113,5 +113,5 @@ def compile_plant(function: Any, layout: Any = None) -> CompiledPlant:
 
     layout: of the record (`layout_of`) as which the function takes its parameters; None: they are a vector.
     """
-    own = member(function, RIGHT_HAND_SIDE, viewed=layout)
-    return CompiledPlant(own, advance, observe, own)
+    plant_member = member(function, RIGHT_HAND_SIDE, viewed=layout)
+    return CompiledPlant(plant_member, advance, observe, plant_member)

@@ -160,8 +160,8 @@ def release(n, q, place, w):
     for c in range(last):
         moved = w.inverse_r[c, last]
         for b in range(0, width, WIDTH):
-            kept = with_entry(load(w.inverse_r, c, b), place - b, moved)
-            store(w.inverse_r, c, b, with_entry(kept, last - b, 0.0))
+            entry = with_entry(load(w.inverse_r, c, b), place - b, moved)
+            store(w.inverse_r, c, b, with_entry(entry, last - b, 0.0))
     for b in range(0, width, WIDTH):
         store(w.normals, place, b, load(w.normals, last, b))
     set_entry(w.bounds, w.index[place], w.active_bounds[place])

@@ -67,7 +67,7 @@ Violation = record("Violation", ("row", "size", "length"))
 
 # -- where to begin ---------------------------------------------------------------------------------------------------
 @inlined
-def _begin(problem, factor, solution, w, guess, kept):
+def _begin(problem, factor, solution, w, guess, is_warm):
     """x, u and the active rows to begin with: the guessed ones that do not pull the wrong way, or none.
 
     Returns (active rows, whether all is finite).
@@ -77,7 +77,7 @@ def _begin(problem, factor, solution, w, guess, kept):
     copy_bounds(problem, w)
     q, finite = 0, True
     if guess > 0:
-        q = _take_over(problem, factor, guess, kept, w)
+        q = _take_over(problem, factor, guess, is_warm, w)
         q, finite = _settle(problem, q, solution.x, w)
     if q == 0:
         finite = finite and unconstrained(problem, factor, solution.x, w)
@@ -87,11 +87,11 @@ def _begin(problem, factor, solution, w, guess, kept):
 
 
 @inlined
-def _take_over(problem, factor, guess, kept, w):
+def _take_over(problem, factor, guess, is_warm, w):
     """Make the rows ``index[:guess]`` active; with the factor at hand when it is theirs. Returns how many are."""
     for i in range(guess):
-        kept = kept and problem.gamma[w.index[i]] < math.inf
-    if kept:
+        is_warm = is_warm and problem.gamma[w.index[i]] < math.inf
+    if is_warm:
         for i in range(guess):
             w.active_bounds[i] = problem.gamma[w.index[i]]
         return guess
@@ -316,7 +316,7 @@ def _verdict(problem, factor, solution, scratch, reach, tolerance, q):
 
 # -- the method -------------------------------------------------------------------------------------------------------
 @exported(ACTIVE_SET)
-def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
+def active_set(problem, factor, solution, scratch, guess, is_warm, max_iterations):
     """Write the exact solution to ``solution``; returns (status, iterations, active rows).
 
     ``index[:guess]`` names rows that may well be active in the solution (0: none known); the answer does not depend
@@ -338,7 +338,7 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     """
     n, x, w = problem.n, solution.x, work_of(scratch)
     worst = 0.0
-    q, finite = _begin(problem, factor, solution, w, guess, kept)
+    q, finite = _begin(problem, factor, solution, w, guess, is_warm)
     if finite:
         worst, finite = find_gaps(problem, x, w)
     if not finite:

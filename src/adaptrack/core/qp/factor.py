@@ -37,8 +37,8 @@ def _eliminate(n, k, inverse):
             store(inverse, k, b, sub(zeros(), row))
     row = with_entry(mul(scale, load(inverse, k, middle)), k - middle, -reciprocal)
     for i in range(n):
-        rest = with_entry(load(inverse, i, middle), k - middle, 0.0)
-        store(inverse, i, middle, fma8(spread(inverse, i, k), row, rest))
+        remaining = with_entry(load(inverse, i, middle), k - middle, 0.0)
+        store(inverse, i, middle, fma8(spread(inverse, i, k), row, remaining))
     store(inverse, k, middle, sub(zeros(), row))
 
 

@@ -86,10 +86,10 @@ def exact_stationarity(problem, q, x, w):
                 row = load(w.normals, k - problem.n, b)
                 factor = spread(w.u, k - problem.n)
             product = mul(row, factor)
-            rest = fma8(row, factor, sub(zeros(), product))  # product + rest = row * factor exactly
+            remainder = fma8(row, factor, sub(zeros(), product))  # product + rest = row * factor exactly
             s = add(high, product)
             t = sub(s, high)
-            low = add(low, add(add(sub(high, sub(s, t)), sub(product, t)), rest))  # the rounding error of s
+            low = add(low, add(add(sub(high, sub(s, t)), sub(product, t)), remainder))  # the rounding error of s
             high = s
         store(w.residual, b, sub(zeros(), add(high, low)))
 

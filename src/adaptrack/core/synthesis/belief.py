@@ -21,7 +21,7 @@ Belief = record(
         "limit",  # rad
         "lag_source", "dead_time_source", "rate_source", "limit_source",  # `GIVEN`, ...
     ),
-    whole=("lag_source", "dead_time_source", "rate_source", "limit_source"),
+    integers=("lag_source", "dead_time_source", "rate_source", "limit_source"),
 )  # fmt: skip
 """The steering as a controller believes it."""
 Uncertainty = record("Uncertainty", ("lag", "dead_time", "stiffness", "mass"))

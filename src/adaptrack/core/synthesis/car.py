@@ -34,7 +34,7 @@ KnownWithin = record(
         "frontal_area",  # factor
         "steering_lag", "steering_dead_time",  # s, to either side
     ),
-    whole=("said",),
+    integers=("said",),
 )  # fmt: skip
 """How far each number may be off; NaN: not said."""
 

@@ -58,7 +58,7 @@ Order = record(
         "longest_horizon", "most_moves",  # Np and Nc at most
         ("method", Method), ("start", Start),
     ),
-    whole=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
+    integers=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
 )  # fmt: skip
 """What is known of a car and its loop, and what is wanted."""
 Parts = record(
@@ -73,7 +73,7 @@ Parts = record(
         "lag", "dead_time",  # s, of the prediction model; the dead time with the computation
         "learns",  # 1: the car is learned
     ),
-    whole=("learns",),
+    integers=("learns",),
 )  # fmt: skip
 """What an informed MPC is made of; its filter is given where `Order.filter_given`, the usual one else."""
 Constants = record(

@@ -65,7 +65,7 @@ Learner = record(
         "longest",  # s, of dead time and computation
         "kept",  # commands that are remembered
     ),
-    whole=("lags", "dead_times", "kept"),
+    integers=("lags", "dead_times", "kept"),
 )  # fmt: skip
 """What a learner may learn, and where it begins."""
 First = record(

@@ -33,7 +33,7 @@ Tyre = record(
         "friction_load_sensitivity",  # -
         "relaxation_length",  # m, 0: none
     ),
-    whole=("linear", "stiffness_load"),
+    integers=("linear", "stiffness_load"),
 )  # fmt: skip
 """A tyre, see `adaptrack.cars.vehicle.Tyre`."""
 CONSTANT, LINEAR, DIGRESSIVE = range(3)

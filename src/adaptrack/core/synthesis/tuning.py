@@ -19,7 +19,7 @@ World = record(
         "bias_yaw_rate", "bias_wheel_angle",  # rad/s, rad: sensors are off by up to so much
         "oldest",  # s, age of a sample at most
     ),
-    whole=("preview",),
+    integers=("preview",),
 )  # fmt: skip
 """Loop and sensors, as the controller knows them."""
 

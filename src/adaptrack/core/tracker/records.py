@@ -67,7 +67,7 @@ SETTINGS = record(
         "drift_stiffness",  # N m/rad, 2 C_r L
         "nominal_friction",  # of a road whose friction is not known, for schedules
     ),
-    whole=("late", "filtered"),
+    integers=("late", "filtered"),
 )  # fmt: skip
 """Of a tracker and its controller, fixed over a drive."""
 
@@ -104,7 +104,7 @@ MEMORY = record(
         "belief_state",  # of the controller's last step, as in TRACKED
         "belief_at_bound",  # likewise
     ),
-    whole=(
+    integers=(
         "started", "instant", "due", "first", "waiting", "open", "status", "left_out", "answered", "fresh", "jumps",
     ),
 )  # fmt: skip

@@ -92,11 +92,11 @@ def _span():
 @inlined
 def _open_window(car):
     """Write what is planned and what surrounds the car to the signals from now on."""
-    values, signals, own = car.values, car.loop.given.signals, car.loop.memory.own[0]
+    values, signals, drive = car.values, car.loop.given.signals, car.loop.memory.own[0]
     signals[0, SIGNAL.speed, :] = values[VALUE.speed_ahead]
     signals[0, SIGNAL.speed, 0] = values[VALUE.speed]
     signals[0, SIGNAL.station, :] = math.inf  # the plan, whose place is the first sample, is not looked for
-    signals[0, SIGNAL.station, 0] = values[VALUE.plan_station] if values[VALUE.on_plan] > 0.5 else own.station
+    signals[0, SIGNAL.station, 0] = values[VALUE.plan_station] if values[VALUE.on_plan] > 0.5 else drive.station
     for j in range(ENVIRONMENT):
         signals[0, SIGNAL.friction_front_left + j, 0] = values[VALUE.friction_front_left + j]
 
@@ -105,13 +105,13 @@ def _open_window(car):
 def _measured_position(car):
     """Where the car was along its road (m) at the time of the measured pose."""
     loop, past = car.loop, car.past
-    own = loop.memory.own[0]
-    here = own.station if own.located > 0 else loop.vehicles.block[state_at(STATE.x, 0)]
+    drive = loop.memory.own[0]
+    station = drive.station if drive.located > 0 else loop.vehicles.block[state_at(STATE.x, 0)]
     if past.size == 0:
-        return here
+        return station
     for i in range(past.size - 1, 0, -1):
-        past[i] = past[i - 1] if own.instant > 0 else here
-    past[0] = here
+        past[i] = past[i - 1] if drive.instant > 0 else station
+    past[0] = station
     instants = loop.measured[MEASURED.pose_age] / loop.settings.period
     first = min(whole(instants), past.size - 2)
     return past[first] + (instants - first) * (past[first + 1] - past[first])
@@ -121,21 +121,21 @@ def _measured_position(car):
 def _sense(car):
     """Write the outputs of the present instant; the status."""
     values, loop = car.values, car.loop
-    own, block, measured = loop.memory.own[0], loop.vehicles.block, loop.measured
+    drive, block, measured = loop.memory.own[0], loop.vehicles.block, loop.measured
     before_control(0, _span(), loop)
-    if own.ended == NOT_FINITE:
+    if drive.ended == NOT_FINITE:
         return FAILED
-    if own.ended != RUNNING:
-        values[VALUE.ended] = float(own.ended)
+    if drive.ended != RUNNING:
+        values[VALUE.ended] = float(drive.ended)
     offset, error, station = measured[MEASURED.y], measured[MEASURED.yaw], _measured_position(car)
     x, y, heading = station, 0.0, 0.0
-    if own.located > 0:
+    if drive.located > 0:
         x, y, heading, _ = point_at(station, line_of(loop.given.roads.of[0], loop.given.roads))
     values[VALUE.measured_x], values[VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
     values[VALUE.measured_yaw] = heading + error
     values[VALUE.measured_offset], values[VALUE.measured_heading_error] = offset, error
     values[VALUE.measured_pose_age] = measured[MEASURED.pose_age]
-    values[VALUE.measured_speed] = own.speed
+    values[VALUE.measured_speed] = drive.speed
     values[VALUE.measured_vy] = measured[MEASURED.vy]
     values[VALUE.measured_yaw_rate] = measured[MEASURED.yaw_rate]
     values[VALUE.measured_wheel_angle] = measured[MEASURED.wheel_angle]
@@ -147,9 +147,9 @@ def _sense(car):
     observe(0, loop.vehicles, observed)
     values[VALUE.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
     values[VALUE.wheel_angle] = observed[OBSERVED.wheel_angle]
-    values[VALUE.station] = own.station if own.located > 0 else values[VALUE.x]
-    values[VALUE.offset], values[VALUE.heading_error] = own.offset, own.heading_error
-    values[VALUE.time] = float(own.instant) * loop.settings.period
+    values[VALUE.station] = drive.station if drive.located > 0 else values[VALUE.x]
+    values[VALUE.offset], values[VALUE.heading_error] = drive.offset, drive.heading_error
+    values[VALUE.time] = float(drive.instant) * loop.settings.period
     return OK
 
 
@@ -157,9 +157,9 @@ def _sense(car):
 def car_begin(car):
     """Read the parameters, put the car at its start and sense it; the status."""
     values, loop = car.values, car.loop
-    wrong = outside(_PARAMETER, _OUTPUT, values, car.least, car.most)
-    if wrong != OK:
-        return wrong
+    invalid = outside(_PARAMETER, _OUTPUT, values, car.least, car.most)
+    if invalid != OK:
+        return invalid
     if values[VALUE.parallel_exchange] > 0.5 and loop.settings.dead_whole == 0:
         return NO_DELAY
     loop.given.seeds[0] = whole(values[VALUE.seed])
@@ -181,9 +181,9 @@ def car_step(car):
     car's own delay, of which a period is left out.
     """
     values, loop = car.values, car.loop
-    wrong = outside(_INPUT, _OUTPUT, values, car.least, car.most)
-    if wrong != OK:
-        return wrong
+    invalid = outside(_INPUT, _OUTPUT, values, car.least, car.most)
+    if invalid != OK:
+        return invalid
     command = values[VALUE.command]
     if values[VALUE.parallel_exchange] > 0.5:
         loop.memory.sent[0, 0] = command

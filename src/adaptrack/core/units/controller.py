@@ -77,9 +77,9 @@ def _known(value, flag):
 def _give(values, sample):
     """Write the inputs as a call of the tracker."""
     pose = values[VALUE.pose_known]
-    now = values[VALUE.time]
+    time = values[VALUE.time]
     age = values[VALUE.age]
-    sample[SAMPLE.t], sample[SAMPLE.now] = now - (age if math.isfinite(age) else 0.0), now
+    sample[SAMPLE.t], sample[SAMPLE.now] = time - (age if math.isfinite(age) else 0.0), time
     sample[SAMPLE.x], sample[SAMPLE.y] = _known(values[VALUE.x], pose), _known(values[VALUE.y], pose)
     sample[SAMPLE.yaw], sample[SAMPLE.speed] = _known(values[VALUE.yaw], pose), values[VALUE.speed]
     sample[SAMPLE.yaw_rate] = _known(values[VALUE.yaw_rate], values[VALUE.yaw_rate_known])
@@ -124,9 +124,9 @@ def _tell_plan(tracker, values):
 def _begin(unit):
     """Read the parameters and engage; the status."""
     values, tracker = unit.values, unit.tracking.tracker
-    wrong = outside(_PARAMETER, _INPUT, values, unit.least, unit.most)
-    if wrong != OK:
-        return wrong
+    invalid = outside(_PARAMETER, _INPUT, values, unit.least, unit.most)
+    if invalid != OK:
+        return invalid
     tracker_engage(values[VALUE.start_wheel_angle], math.nan, tracker)
     values[VALUE.time] = 0.0
     _tell(tracker, values)
