@@ -114,14 +114,14 @@ def rollout_batch(
     seeded = np.array(seeds, dtype=np.int64)
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
-    found = batch.run(
+    batch_result = batch.run(
         index,
         checked,
         np.broadcast_to(seeded, (runs,)).copy(),
         threads or os.cpu_count() or 1,
         scheduler=batch.scheduler,
     )
-    return found.measured()
+    return batch_result.measured()
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +145,21 @@ class BatchRuns:
 
     def measured(self) -> BatchResult:
         """By name, as means."""
-        found = self.result
-        steps = np.maximum(found["instants"], 1)
-        reasons = {int(ended): reason_of(int(ended)) for ended in np.unique(found["ended"])}
+        results = self.result
+        steps = np.maximum(results["instants"], 1)
+        reasons = {int(ended): reason_of(int(ended)) for ended in np.unique(results["ended"])}
         return BatchResult(
-            mse=found["squared_error"] / steps,
-            mean_squared_move=found["squared_move"] / steps,
-            max_abs_error=found["largest_error"].copy(),
-            failed=np.array([reasons[ended] for ended in found["ended"].tolist()], dtype=object),
-            failed_at=np.where(self.failed, found["ended_at"], np.nan),
-            steps=found["instants"].copy(),
-            qp_capped=found["capped"].copy(),
-            qp_failed=found["unsolved"].copy(),
-            held=found["held"].copy(),
-            limited=found["limited"].copy(),
-            qp_iterations=found["iterations"].copy(),
+            mse=results["squared_error"] / steps,
+            mean_squared_move=results["squared_move"] / steps,
+            max_abs_error=results["largest_error"].copy(),
+            failed=np.array([reasons[ended] for ended in results["ended"].tolist()], dtype=object),
+            failed_at=np.where(self.failed, results["ended_at"], np.nan),
+            steps=results["instants"].copy(),
+            qp_capped=results["capped"].copy(),
+            qp_failed=results["unsolved"].copy(),
+            held=results["held"].copy(),
+            limited=results["limited"].copy(),
+            qp_iterations=results["iterations"].copy(),
             scheduler=self.counts,
         )
 
@@ -177,21 +177,22 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     signals = [scenario.sample(world.period) for scenario in scenarios]
     if not signals:
         raise InvalidInput("scenarios: none given.")
-    longest = max(each.n for each in signals)
+    longest = max(signal.n for signal in signals)
     rows = [
-        np.pad(world.samples(each, i), ((0, 0), (0, longest - each.n)), mode="edge") for i, each in enumerate(signals)
+        np.pad(world.samples(signal, i), ((0, 0), (0, longest - signal.n)), mode="edge")
+        for i, signal in enumerate(signals)
     ]
     return signals, np.ascontiguousarray(rows)
 
 
 def called_back(plant: Any, controller: Controller) -> list[str]:
     """Names of functions of one's own that are called back in Python, as there is nothing here that compiles them."""
-    given = [plant.compiled.member] if isinstance(plant, Plant) else []
+    members = [plant.compiled.member] if isinstance(plant, Plant) else []
     if isinstance(controller, CompiledController):
-        given.append(controller.function)
+        members.append(controller.function)
     elif isinstance(controller, MPC):
-        given += [controller.model.function, controller.estimator.function]
-    return [each.name for each in given if getattr(each, "in_python", False)]
+        members += [controller.model.function, controller.estimator.function]
+    return [member.name for member in members if getattr(member, "in_python", False)]
 
 
 class Batch:
@@ -213,7 +214,7 @@ class Batch:
         self._refuse_python()
         world = self.world
         self.signals, self.samples = sampled(world, scenarios)
-        self.periods = np.array([each.n for each in self.signals])
+        self.periods = np.array([signal.n for signal in self.signals])
         self.roads = pack_roads([getattr(scenario, "road", None) for scenario in scenarios])
         self.starts = np.array([world.start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
         self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
@@ -274,17 +275,20 @@ class Batch:
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        own, plant = self.controller, self.world.plant
+        controller, plant = self.controller, self.world.plant
         assert isinstance(plant, Plant)
-        if isinstance(own, CompiledController):
+        if isinstance(controller, CompiledController):
             functions = kernel.functions()
             mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(0)), (np.zeros(0), 0))
-            law = rollout.law_batch(slots, own)
-            width = law.answer.shape[1] + len(own.tuning_names)
+            law = rollout.law_batch(slots, controller)
+            width = law.answer.shape[1] + len(controller.tuning_names)
         else:
-            assert isinstance(own, MPC)
-            mpc, law = own.batch(slots, mpc_settings, curved=bool(len(self.roads.numbers))), rollout.no_law_batch()
-            functions = own.functions
+            assert isinstance(controller, MPC)
+            mpc, law = (
+                controller.batch(slots, mpc_settings, curved=bool(len(self.roads.numbers))),
+                rollout.no_law_batch(),
+            )
+            functions = controller.functions
             width = mpc.answer.shape[1]
         loop = self.world.loop(
             period_kernel.Given(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
@@ -294,7 +298,7 @@ class Batch:
             trace=period_kernel.traces(slots, periods, width) if periods else None,
             segments=segments,
         )
-        features = loop.features._replace(law=isinstance(own, CompiledController))
+        features = loop.features._replace(law=isinstance(controller, CompiledController))
         loop = loop._replace(features=features, measured=mpc.measured)
         return rollout.Run(
             *loop,
@@ -305,20 +309,20 @@ class Batch:
             tuning=np.zeros((slots, len(self.tuning))),
         )
 
-    def chunks(self, which: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
+    def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
         """Runs that are driven together: as long, and integrated with the same number of steps.
 
         A plant of one's own is advanced slot by slot: its runs are shared evenly among the threads.
         """
-        found = []
+        chunks = []
         for steps in self.settings:
             for n in np.unique(self.periods):
-                members = np.flatnonzero((self.substeps[which] == steps) & (self.periods[which] == n))
+                members = np.flatnonzero((self.substeps[runs] == steps) & (self.periods[runs] == n))
                 ours = isinstance(self.world.plant, SingleTrack | DualTrack)
                 even = SLOTS if ours else math.ceil(len(members) / threads)
                 size = min(SLOTS, max(even, 1))
-                found += [members[first : first + size] for first in range(0, len(members), size)]
-        return found
+                chunks += [members[first : first + size] for first in range(0, len(members), size)]
+        return chunks
 
     def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
         """The longest Np and Nc that runs with these tunings or this scheduler may ask for."""
@@ -351,18 +355,18 @@ class Batch:
             waiting.put(chunk)
 
         def work() -> None:
-            done = None
+            outcome = None
             while True:
                 try:
                     chunk = waiting.get_nowait()
                 except queue.Empty:
                     return
-                done = self._drive(chunk, plan, settings, done)
-                result[chunk], segments[chunk, : done.segments.shape[1]] = done.result, done.segments
+                outcome = self._drive(chunk, plan, settings, outcome)
+                result[chunk], segments[chunk, : outcome.segments.shape[1]] = outcome.result, outcome.segments
                 if traced:
-                    traces.append((chunk, done.trace))
+                    traces.append((chunk, outcome.trace))
                 if scheduler is not None:
-                    counts[:, chunk] = [done.schedule.memory[name] for name in guard_kernel.COUNTS]
+                    counts[:, chunk] = [outcome.schedule.memory[name] for name in guard_kernel.COUNTS]
 
         workers = max(1, min(threads, len(chunks)))
         if workers == 1:
@@ -371,24 +375,24 @@ class Batch:
             with ThreadPoolExecutor(workers) as pool:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
-        named = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
-        return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), named, segments)
+        guard_counts = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
+        return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
         """Drive the runs of one chunk; the `core.rollout.Run` that they leave.
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
-        which, size = plan.which[chunk], len(chunk)
-        n = int(self.periods[which[0]])
+        run_indices, size = plan.which[chunk], len(chunk)
+        n = int(self.periods[run_indices[0]])
         segments = math.ceil(n / plan.segment) if plan.segment else 0
-        steps, run = int(self.substeps[which[0]]), last
+        steps, run = int(self.substeps[run_indices[0]]), last
         fits = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
         fits = fits and run.segments.shape[1] == segments
         if not fits or plan.traced or plan.scheduler is not None:
             run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
-        run.given.scenario[:], run.given.seeds[:] = which, plan.seeds[chunk]
-        run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
+        run.given.scenario[:], run.given.seeds[:] = run_indices, plan.seeds[chunk]
+        run.vehicles.start[:], run.tuning[:] = self.starts[run_indices], plan.tunings[chunk]
         place = Resident(run)
         rollout.begin(size, place)
         rollout.rollout(period_kernel.Span(n, size, plan.segment, plan.weight), place)
@@ -398,11 +402,11 @@ class Batch:
 def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
     """One trace of all runs, from those of the chunks."""
     first = traces[0][1]
-    whole = type(first)(*(np.empty((runs, *part.shape[1:])) for part in first))
+    joined = type(first)(*(np.empty((runs, *part.shape[1:])) for part in first))
     for chunk, trace in traces:
-        for part, values in zip(whole, trace, strict=True):
+        for part, values in zip(joined, trace, strict=True):
             part[chunk] = values
-    return whole
+    return joined
 
 
 @dataclass(frozen=True, eq=False)

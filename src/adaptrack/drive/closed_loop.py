@@ -69,12 +69,12 @@ class _SteppedVehicle:
         """Move on by so many steps of h (s)."""
         names, state, demand = contract.INPUT, self._state, self._input
         force, acceleration = demand[names.force], demand[names.acceleration]
-        wanted = force / self._mass if math.isnan(acceleration) else acceleration
+        target = force / self._mass if math.isnan(acceleration) else acceleration
         environment = demand[names.friction_front_left :].copy()
         before = state[:6].copy()
         for _ in range(steps):
             middle, after = self._angle(0.5 * h), self._angle(h)
-            motion = np.asarray(self._plant.step(h, middle, float(wanted), environment), dtype=np.float64)
+            motion = np.asarray(self._plant.step(h, middle, float(target), environment), dtype=np.float64)
             if motion.shape != (6,):
                 raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
             state[:6] = motion
@@ -107,7 +107,7 @@ class ClosedLoop:
         self.world = world
         self.signals = scenario.sample(world.period)
         self.road: Any = getattr(scenario, "road", None)
-        given = period_kernel.Given(
+        inputs = period_kernel.Given(
             world.samples(self.signals, 0)[None], pack_roads([self.road]), np.zeros(1, np.int64), np.array([seed])
         )
         start, n = world.start(scenario, self.signals), self.signals.n
@@ -119,14 +119,14 @@ class ClosedLoop:
             vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), start[None])
         place(1, vehicles.start, vehicles.block, vehicles.states)
         self.run = world.loop(
-            given, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
+            inputs, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
             variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
         )  # fmt: skip
         if isinstance(world.known_as, FrictionWindEstimator):
             world.known_as.reset(self.run.perceiving.memory)
         self.place, self._span = Resident(self.run), Resident(period_kernel.Span(n, 1, 0, 0.0))
         """the run as kernels take it"""
-        self._own, self._references = self.run.memory.own, given.signals[0, loop_kernel.SIGNAL.y_ref]
+        self._own, self._references = self.run.memory.own, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
     def instant(self) -> int:

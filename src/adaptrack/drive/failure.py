@@ -108,11 +108,11 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
         (spinning, Reason.SPUN),
         (outside, Reason.OFF_ROAD),
     )
-    found = [(int(np.argmax(event)), reason) for event, reason in events if event.any()]
-    if not found:
+    occurrences = [(int(np.argmax(event)), reason) for event, reason in events if event.any()]
+    if not occurrences:
         return None
-    step, reason = min(found, key=lambda item: item[0])
-    clause = next((text for each, text in clauses.items() if each == reason), f"was given up: {reason}")
+    step, reason = min(occurrences, key=lambda item: item[0])
+    clause = next((text for known_reason, text in clauses.items() if known_reason == reason), f"was given up: {reason}")
     return Failed(step, float(trajectory.t[step]), reason, clause)
 
 

@@ -35,17 +35,17 @@ def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float,
         return dict.fromkeys(TIMES, math.nan)
     states = np.stack([columns[name] for name in model.states], axis=-1)
     curvature = run.road.get("curvature", np.zeros(len(run)))
-    whole = np.isfinite(np.column_stack([states, run.command, run.vx, curvature])).all(axis=1)
-    end = len(run) if whole.all() else int(whole.argmin())
+    complete = np.isfinite(np.column_stack([states, run.command, run.vx, curvature])).all(axis=1)
+    end = len(run) if complete.all() else int(complete.argmin())
     late = round(model.dead_time / model.period)
-    times = [each for each in TIMES if 1 <= round(each / model.period) < end - late]
-    found = dict.fromkeys(TIMES, math.nan)
+    times = [time for time in TIMES if 1 <= round(time / model.period) < end - late]
+    errors = dict.fromkeys(TIMES, math.nan)
     if times:
         speeds = np.maximum(run.vx[:end], SLOW)
-        found |= prediction_error(
+        errors |= prediction_error(
             model, states[:end], run.command[:end], speeds, curvatures=curvature[:end], times=times
         )
-    return found
+    return errors
 
 
 def prediction_error(
@@ -86,7 +86,7 @@ def prediction_error(
     InvalidInput
         When shapes do not fit or a time does not.
     """
-    x, u, v = (np.asarray(each, dtype=np.float64) for each in (states, commands, speeds))
+    x, u, v = (np.asarray(signal, dtype=np.float64) for signal in (states, commands, speeds))
     n = len(x)
     y = u if outputs is None else np.asarray(outputs, dtype=np.float64)
     if x.shape != (n, model.n) or not u.shape == v.shape == y.shape == (n,):
@@ -105,24 +105,28 @@ def prediction_error(
     a, b = _discretised(model, v)
     e = _turning(model, v)
     turn = np.broadcast_to(np.asarray(curvatures, dtype=np.float64), (n,)) * v
-    ahead, found = x[late:], {}
+    ahead, errors = x[late:], {}
     for k in range(1, max(steps.values()) + 1):
         count = n - late - k  # states that have a k-th successor
-        now, then = slice(late + k - 1, late + k - 1 + count), slice(k - 1, k - 1 + count)
-        step = b[now] * u[then, None] + e[now] * turn[now, None]
-        ahead = np.einsum("kij,kj->ki", a[now], ahead[:count]) + step
+        current, then = slice(late + k - 1, late + k - 1 + count), slice(k - 1, k - 1 + count)
+        step = b[current] * u[then, None] + e[current] * turn[current, None]
+        ahead = np.einsum("kij,kj->ki", a[current], ahead[:count]) + step
         if k in steps.values():
-            found[k] = _rms(ahead @ model.output - y[late + k :])
-    return {time: found[count] for time, count in steps.items()}
+            errors[k] = _rms(ahead @ model.output - y[late + k :])
+    return {time: errors[count] for time, count in steps.items()}
 
 
 def _discretised(model: PredictionModel, speeds: Array) -> tuple[Array, Array]:
     """A (n, m, m) and B (n, m) of a model at speeds (n,), each speed once."""
-    each, place = np.unique(speeds, return_inverse=True)
-    if not (np.isfinite(each) & (each > 0.0)).all():
+    unique_speeds, place = np.unique(speeds, return_inverse=True)
+    if not (np.isfinite(unique_speeds) & (unique_speeds > 0.0)).all():
         raise InvalidInput("prediction_error: speeds must be positive and finite; leave out where the car stands.")
-    a, b, e = np.zeros((each.size, model.n, model.n)), np.zeros((each.size, model.n)), np.zeros(model.n)
-    for k, speed in enumerate(each.tolist()):
+    a, b, e = (
+        np.zeros((unique_speeds.size, model.n, model.n)),
+        np.zeros((unique_speeds.size, model.n)),
+        np.zeros(model.n),
+    )
+    for k, speed in enumerate(unique_speeds.tolist()):
         model.function(speed, model.period, model.parameters(), a[k], b[k], e)
     return a[place], b[place]
 

@@ -59,13 +59,15 @@ class _Recorder:
 
     def take(self, k: int, answer: Any, before: float) -> float:
         """Keep the answer of step k; its command (rad). before: the last command (rad)."""
-        angle, _, held, tuning, said = command_of(answer, before)
-        self.command[k] = angle, angle - before, held
+        angle, _, is_held, tuning, diagnostics = command_of(answer, before)
+        self.command[k] = angle, angle - before, is_held
         if len(self.tuning_names):
             self.tuning[k] = tuning if len(tuning) else self.constant
         if len(self.diagnostic_names):
-            named = isinstance(said, Mapping)
-            self.diagnostics[k] = [said.get(name, math.nan) for name in self.diagnostic_names] if named else said
+            is_mapping = isinstance(diagnostics, Mapping)
+            self.diagnostics[k] = (
+                [diagnostics.get(name, math.nan) for name in self.diagnostic_names] if is_mapping else diagnostics
+            )
         return angle
 
 
@@ -106,17 +108,17 @@ def simulate(
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
-        now = loop.sense()
+        instant = loop.sense()
         if loop.ended:
             break
         if blind:
-            now.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
+            instant.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
         # an MPC's model or estimator may use the wheel angle
-        measured = now.measured if controller.sees_all_sensors else now.measured[:4]
+        measured = instant.measured if controller.sees_all_sensors else instant.measured[:4]
         begun = time.perf_counter()
         sees = loop.road is not None and controller.sees_road
-        ahead: dict[str, Any] = {"road": loop.road_ahead(now.speed)} if sees else {}
-        answer = controller.step(measured, now.speed, now.reference, now.variables, **ahead)
+        ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if sees else {}
+        answer = controller.step(measured, instant.speed, instant.reference, instant.variables, **ahead)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, loop.command)
         if predicted is not None and record.command[k, 2] < 0.5:
@@ -160,14 +162,17 @@ def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> 
     threads: None for all cores.
     """
     count = len(batch.signals)
-    which = np.repeat(np.arange(count), len(seeds))
+    scenario_index = np.repeat(np.arange(count), len(seeds))
     seeded = np.tile(np.array(seeds, dtype=np.int64), count)
-    tunings = np.repeat(batch.tuning[None], len(which), axis=0)
+    tunings = np.repeat(batch.tuning[None], len(scenario_index), axis=0)
     runs = batch.run(
-        which, tunings, seeded, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
+        scenario_index, tunings, seeded, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
     )  # fmt: skip
-    each = [_traced(batch, runs, i, int(k), int(seed)) for i, (k, seed) in enumerate(zip(which, seeded, strict=True))]
-    return [each[first : first + len(seeds)] for first in range(0, len(each), len(seeds))]
+    trajectories = [
+        _traced(batch, runs, i, int(k), int(seed))
+        for i, (k, seed) in enumerate(zip(scenario_index, seeded, strict=True))
+    ]
+    return [trajectories[first : first + len(seeds)] for first in range(0, len(trajectories), len(seeds))]
 
 
 def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Trajectory:
@@ -175,14 +180,14 @@ def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Traject
     controller, n = batch.controller, batch.signals[k].n
     trace = runs.trace
     record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.noted[i, :n].copy())
-    found, T, answer = runs.result[i], len(record.tuning_names), trace.answer[i, :n]
+    result, T, answer = runs.result[i], len(record.tuning_names), trace.answer[i, :n]
     record.command[:] = answer[:, :3]
     if isinstance(controller, MPC):
         record.tuning[:], record.diagnostics[:] = answer[:, 3 : 3 + T], answer[:, 3 + T :]
     else:
         D = len(record.diagnostic_names)
         record.diagnostics[:], record.tuning[:] = answer[:, 3 : 3 + D], answer[:, 3 + D :]
-    record.failed, record.failed_at = failure_of(int(found.ended), float(found.ended_at))
+    record.failed, record.failed_at = failure_of(int(result.ended), float(result.ended_at))
     record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
     return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)
 
@@ -199,16 +204,16 @@ _UNITS = {
 }  # fmt: skip
 
 
-def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def _named(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
     being that of data that are not finite.
     """
-    found: dict[str, NDArray[Any]] = {}
+    columns_by_name: dict[str, NDArray[Any]] = {}
     for name, values in zip(names, columns.T, strict=True):
-        found[name] = np.nan_to_num(values, nan=0.0).astype(np.int64) if name in _WHOLE else values.copy()
-        if name == "qp_status" and not driven.all():
-            found[name][~driven] = QPStatus.NON_FINITE
-    return found
+        columns_by_name[name] = np.nan_to_num(values, nan=0.0).astype(np.int64) if name in _WHOLE else values.copy()
+        if name == "qp_status" and not is_driven.all():
+            columns_by_name[name][~is_driven] = QPStatus.NON_FINITE
+    return columns_by_name
 
 
 def _learned(world: World, controller: Controller) -> dict[str, Any]:
@@ -224,14 +229,14 @@ def _trajectory(
     world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
     n, state, plant = signals.n, record.state, world.plant
-    driven = np.isfinite(record.command[:, 0])
+    is_driven = np.isfinite(record.command[:, 0])
     described = controller.describe()
     road = {}
     if isinstance(scenario, RoadDrive):
         road = dict(zip(("station", "offset", "heading_error"), record.noted[:, 2:].T, strict=True))
         road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
     groups = {"tuning": record.tuning_names, "diagnostics": record.diagnostic_names, "road": road}
-    held = {f"{group}.{name}" for group, names in groups.items() for name in names}
+    recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
         t=signals.t[:n],
         X=state[:, STATE.x],
@@ -251,10 +256,10 @@ def _trajectory(
         held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
         step_time=record.times,
         period=signals.period,
-        tuning=_named(record.tuning_names, record.tuning, driven),
-        diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
+        tuning=_named(record.tuning_names, record.tuning, is_driven),
+        diagnostics=_named(record.diagnostic_names, record.diagnostics, is_driven),
         road=road,
-        units={key: unit for key, unit in _UNITS.items() if key in held},
+        units={key: unit for key, unit in _UNITS.items() if key in recorded},
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(
@@ -282,5 +287,5 @@ def _trajectory(
 
 def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
     """What a record says of the car's own failure distance (m), where it is not the usual one."""
-    own = Failure.of(plant).distance
-    return {} if own == DISTANCE else {"failure_distance": own}
+    plant_limit = Failure.of(plant).distance
+    return {} if plant_limit == DISTANCE else {"failure_distance": plant_limit}

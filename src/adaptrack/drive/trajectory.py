@@ -193,8 +193,8 @@ class Trajectory:
         return int(self.t.size)
 
     def __repr__(self) -> str:
-        what = ", ".join(filter(None, (self.name_of("scenario"), self.name_of("controller")))) or "no provenance"
-        return f"<Trajectory of {len(self)} control periods of {self.period:g} s: {what}>"
+        title = ", ".join(filter(None, (self.name_of("scenario"), self.name_of("controller")))) or "no provenance"
+        return f"<Trajectory of {len(self)} control periods of {self.period:g} s: {title}>"
 
     @property
     def duration(self) -> float:
@@ -308,7 +308,7 @@ class Trajectory:
         """
         units = self._column_units()
         stored = [ParquetColumn(name, units[name], values) for name, values in self.columns().items()]
-        about = {
+        metadata = {
             "adaptrack": __version__,
             "period": self.period,
             "units": dict(self.units),
@@ -316,7 +316,7 @@ class Trajectory:
             "failed_at": None if self.failed is None else self.failed_at,
             "meta": self.meta,
         }
-        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, stored, about))
+        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, stored, metadata))
 
     @classmethod
     @checked
@@ -330,14 +330,14 @@ class Trajectory:
         """
         required = [name for column in COLUMNS for name in column.stored_names]
         remedy = "run the simulation again or use the release that wrote it"
-        columns, about = decode_parquet(read_bytes(path), path, FORMAT, FORMAT_VERSION, remedy, required)
+        columns, metadata = decode_parquet(read_bytes(path), path, FORMAT, FORMAT_VERSION, remedy, required)
         try:
             fields: dict[str, Any] = {c.name: _joined([columns.pop(name) for name in c.stored_names]) for c in COLUMNS}
             fields |= {name: {} for name in _NAMED}
             for stored, values in columns.items():
                 name, _, key = stored.partition(".")
                 fields[name][key] = values
-            fields |= about | {"failed_at": math.nan if about["failed_at"] is None else about["failed_at"]}
+            fields |= metadata | {"failed_at": math.nan if metadata["failed_at"] is None else metadata["failed_at"]}
             del fields["adaptrack"]
             return cls(**fields)
         except (KeyError, TypeError, ValueError, AttributeError) as error:  # InvalidInput is a ValueError
@@ -361,7 +361,7 @@ class Origin:
     tuning: Any
 
 
-def provenance(origin: Origin, created: str | datetime, **more: Any) -> dict[str, Any]:
+def provenance(origin: Origin, created: str | datetime, **entries: Any) -> dict[str, Any]:
     """What a result has to name, as the `meta` of a `Trajectory`: its origin, and with which software it was made.
 
     `created` is the caller's clock, so that nothing here depends on the time of day. `more` adds entries (``moves``,
@@ -369,7 +369,7 @@ def provenance(origin: Origin, created: str | datetime, **more: Any) -> dict[str
     """
     return {
         **vars(origin),
-        **more,
+        **entries,
         "versions": {
             "adaptrack": __version__,
             "python": platform.python_version(),
@@ -398,11 +398,11 @@ def _checked(column: StoredArray, values: Any, steps: int) -> Array:
     return view
 
 
-def _named(group: str, given: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
+def _named(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
     """Arrays by name, each of one of the types that a file stores."""
     kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
     arrays = {}
-    for name, values in given.items():
+    for name, values in groups.items():
         if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
             raise InvalidInput(f"trajectory: {group}: {name!r} must be a name of letters, digits and _.")
         kind = kinds.get(np.asarray(values).dtype.kind)

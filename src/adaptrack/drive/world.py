@@ -107,10 +107,10 @@ class World:
         belief, tolerance = controller.belief, 0.4 * self.period
         if belief is None:
             return
-        believed, driven = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
+        believed, actual = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
         computation = self.profile.delay * self.period
         computation_error = computation - belief.computation.value
-        delay_error = driven - believed if controller.learner is None else min(computation_error, 0.0)
+        delay_error = actual - believed if controller.learner is None else min(computation_error, 0.0)
         if abs(computation_error) > tolerance and delay_error * math.copysign(1.0, computation_error) > tolerance:
             _warn(
                 f"adaptrack: the controller assumes a computation time of {belief.computation.value:.3g} s "
@@ -119,7 +119,7 @@ class World:
             )
         elif delay_error > tolerance:
             _warn(
-                f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {driven:.3g} s late, the "
+                f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {actual:.3g} s late, the "
                 f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or "
                 "belief=Steering(...) of the car, tells it; with learning=Learning() it finds out."
             )
@@ -158,8 +158,8 @@ class World:
     @property
     def dead_periods(self) -> tuple[int, float]:
         """From an instant until its command acts: whole control periods, and the share of one more."""
-        whole, share = dead_periods(self.profile.delay, self.steering.dead_time, self.period)
-        return whole, share
+        periods, share = dead_periods(self.profile.delay, self.steering.dead_time, self.period)
+        return periods, share
 
     @property
     def remembered(self) -> int:
@@ -167,7 +167,7 @@ class World:
         return int(loop_kernel.instants_back(self.profile.oldest, self.period))
 
     def loop(
-        self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None, segments: int = 0
+        self, inputs: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None, segments: int = 0
     ) -> Any:  # fmt: skip
         """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
 
@@ -175,22 +175,22 @@ class World:
         `core.period.traces`, None for none; segments: of each run.
         """
         past = self.remembered
-        known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
+        estimator = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
         counts = period_kernel.Counts(**dict.fromkeys(period_kernel.Counts._fields, 0))
         counts = counts._replace(
             slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments
         )  # fmt: skip
-        made = room(period_kernel.Loop, period_kernel.put_sizes, counts)
-        made.ceiling[:] = np.nan
-        return made._replace(
+        loop = room(period_kernel.Loop, period_kernel.put_sizes, counts)
+        loop.ceiling[:] = np.nan
+        return loop._replace(
             settings=settings,
             features=period_kernel.Features(
-                late=past > 0, variables=variables, estimates=known is not None, traces=trace is not None, law=0
+                late=past > 0, variables=variables, estimates=estimator is not None, traces=trace is not None, law=0
             ),
             vehicles=vehicles,
-            given=given,
-            perceiving=made.perceiving if known is None else known.packed_for(len(vehicles.start)),
-            trace=made.trace if trace is None else trace,
+            given=inputs,
+            perceiving=loop.perceiving if estimator is None else estimator.packed_for(len(vehicles.start)),
+            trace=loop.trace if trace is None else trace,
         )
 
     def samples(self, signals: Signals, number: int) -> Array:
@@ -199,11 +199,11 @@ class World:
         number: of the scenario in its batch, from which errors of perception are drawn.
         """
         rows = np.empty((len(SIGNAL), signals.n + 1))
-        given = {
+        samples = {
             "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
             "bank": signals.bank, "acceleration": signals.curvature, "station": signals.station,
         }  # fmt: skip
-        for name, values in given.items():
+        for name, values in samples.items():
             rows[getattr(SIGNAL, name)] = values
         rows[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1] = signals.friction.T
         complete_samples(signals.period, rows)

@@ -62,13 +62,13 @@ class Workspace:
 
     def active_set(self, max_iterations: int, guess: Array | None = None) -> tuple[QPStatus, int]:
         """Run the exact solver, from the active rows of the multipliers ``guess`` if given: status and iterations."""
-        known = 0
+        is_warm = 0
         if guess is not None:
             likely = np.flatnonzero(guess > 0.0)[: self.problem.n]
-            known = len(likely)
-            self.scratch.index[:known] = likely
+            is_warm = len(likely)
+            self.scratch.index[:is_warm] = likely
         status, iterations, _ = active_set(
-            self.problem, self.factor, self.solution, self.scratch, known, False, max_iterations
+            self.problem, self.factor, self.solution, self.scratch, is_warm, False, max_iterations
         )
         return QPStatus(status), iterations
 

@@ -59,51 +59,55 @@ class QPSolver(ABC):
 
     def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
         """The minimiser of ``qp``, or a status that says why there is none."""
-        found = self._tested(qp, self.attempt(qp, warm_start))
-        if self.on_uncertified == "exact" and found.status not in (QPStatus.SOLVED, QPStatus.NON_FINITE):
-            return self._finished(qp, found)
-        return self._solution(qp, found, self.name)
+        attempt = self._tested(qp, self.attempt(qp, warm_start))
+        if self.on_uncertified == "exact" and attempt.status not in (QPStatus.SOLVED, QPStatus.NON_FINITE):
+            return self._finished(qp, attempt)
+        return self._solution(qp, attempt, self.name)
 
-    def _tested(self, qp: QP, found: Attempt) -> Attempt:
+    def _tested(self, qp: QP, attempt: Attempt) -> Attempt:
         """What was found; CAPPED where `ACCEPTED` or `NEAR` contradict "solved"."""
-        if found.status is not QPStatus.SOLVED or found.certified:
-            return found
-        if found.x is None or found.lam is None or not (np.isfinite(found.x).all() and np.isfinite(found.lam).all()):
-            return found._replace(status=QPStatus.CAPPED, x=None)
-        worst = kkt_residuals(qp, found.x, found.lam).worst
-        away = newton_distance(qp, found.x, found.lam)
-        if worst <= ACCEPTED and away <= NEAR:
-            return found
+        if attempt.status is not QPStatus.SOLVED or attempt.certified:
+            return attempt
+        if (
+            attempt.x is None
+            or attempt.lam is None
+            or not (np.isfinite(attempt.x).all() and np.isfinite(attempt.lam).all())
+        ):
+            return attempt._replace(status=QPStatus.CAPPED, x=None)
+        worst = kkt_residuals(qp, attempt.x, attempt.lam).worst
+        newton_step = newton_distance(qp, attempt.x, attempt.lam)
+        if worst <= ACCEPTED and newton_step <= NEAR:
+            return attempt
         message = (
             f"{self.name} reported a solution whose optimality conditions miss by {worst:.1e} "
-            f"and which is about {away:.1e} rad from the true one."
+            f"and which is about {newton_step:.1e} rad from the true one."
         )
-        return found._replace(status=QPStatus.CAPPED, message=message)
+        return attempt._replace(status=QPStatus.CAPPED, message=message)
 
-    def _finished(self, qp: QP, found: Attempt) -> Solution:
+    def _finished(self, qp: QP, attempt: Attempt) -> Solution:
         """What the exact method makes of the problem."""
         self._exact = self._exact or Workspace()
         self.finishes += 1
         exact = self._exact.solve_exactly(qp)
-        why = found.message or f"{self.name} ended with {found.status.name} after {found.iterations} iterations."
+        why = attempt.message or f"{self.name} ended with {attempt.status.name} after {attempt.iterations} iterations."
         message = f"{why} Not certified: the exact method finished. {exact.message or exact.status.sentence}"
-        exact = exact._replace(iterations=found.iterations + exact.iterations, message=message)
+        exact = exact._replace(iterations=attempt.iterations + exact.iterations, message=message)
         return self._solution(qp, exact, EXACT)
 
-    def _solution(self, qp: QP, found: Attempt, finished_by: str) -> Solution:
+    def _solution(self, qp: QP, attempt: Attempt, finished_by: str) -> Solution:
         """The answer with its residuals, and NaN where there is nothing to apply."""
-        x, lam = found.x, found.lam
+        x, lam = attempt.x, attempt.lam
         residuals = Residuals(*[float("nan")] * 4)
         if x is not None and lam is not None:
             residuals = kkt_residuals(qp, x, lam)
-        applied = found.status is QPStatus.SOLVED or (
-            found.status is QPStatus.CAPPED and self.on_uncertified == "apply"
+        applied = attempt.status is QPStatus.SOLVED or (
+            attempt.status is QPStatus.CAPPED and self.on_uncertified == "apply"
         )
         if x is None or lam is None or not applied:
             x, lam = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
-        message = found.message or found.status.sentence
+        message = attempt.message or attempt.status.sentence
         return Solution(
-            x, lam, found.status, residuals, int(found.iterations), self.name, message, finished_by, self.finishes
+            x, lam, attempt.status, residuals, int(attempt.iterations), self.name, message, finished_by, self.finishes
         )
 
 

@@ -36,20 +36,22 @@ def check_scheduler(scheduler: Any, samples: int = 200, seed: int = 0) -> None:
     entries = scheduler.entries if isinstance(scheduler, Schedule) else ENTRIES
     for row in rows:
         variables = SchedulingVariables(*row.tolist())
-        given, again = _tuning_of(scheduler, variables, entries), _tuning_of(scheduler, variables, entries)
-        if given != again:
-            raise ContractError(f"scheduler: gave {given} and then {again} for the same {variables}.")
+        first_tuning, again = _tuning_of(scheduler, variables, entries), _tuning_of(scheduler, variables, entries)
+        if first_tuning != again:
+            raise ContractError(f"scheduler: gave {first_tuning} and then {again} for the same {variables}.")
         if entries == ENTRIES:
-            Np, Nc, Q, R = given
+            Np, Nc, Q, R = first_tuning
             if not (1 <= round(Nc) <= round(Np) and Q >= 0.0 and R > 0.0):
-                raise ContractError(f"scheduler: gave {given} for {variables}: need 1 <= Nc <= Np, Q >= 0, R > 0.")
+                raise ContractError(
+                    f"scheduler: gave {first_tuning} for {variables}: need 1 <= Nc <= Np, Q >= 0, R > 0."
+                )
     if isinstance(scheduler, Schedule):
         _check_functions(replace(scheduler, guard=None), rows)
 
 
 def _samples(count: int, rng: np.random.Generator) -> Array:
     """Scheduling variables inside, at the corners of and far outside the operating domain."""
-    low, high = np.array([(each.low, each.high) for each in VARIABLES.values()]).T
+    low, high = np.array([(variable.low, variable.high) for variable in VARIABLES.values()]).T
     rows = low + (high - low) * rng.uniform(size=(count, len(low)))
     rows[::7] = np.where(rng.uniform(size=rows[::7].shape) < 0.5, low, high)
     rows[::11] += rng.normal(size=rows[::11].shape) * 3.0 * (high - low)
@@ -79,9 +81,9 @@ def _check_functions(schedule: Schedule, rows: Array) -> None:
             expected = np.minimum(expected, planned[:, 0])
         off = np.abs(planned[:, i] - expected)
         rounded = schedule.of_mpc and name in HORIZONS
-        wrong = off > (0.5 + 1e-9 if rounded else 1e-9 * np.abs(expected))  # at .5 rounding may go either way
-        if wrong.any():
-            k = int(np.argmax(wrong))
+        differs = off > (0.5 + 1e-9 if rounded else 1e-9 * np.abs(expected))  # at .5 rounding may go either way
+        if differs.any():
+            k = int(np.argmax(differs))
             raise ContractError(
                 f"scheduler: entry {name} is {float(planned[k, i])!r} at {SchedulingVariables(*rows[k].tolist())}, "
                 f"where its own function gives {float(expected[k])!r}."

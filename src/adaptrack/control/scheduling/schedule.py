@@ -62,9 +62,9 @@ class Entry:
     """whether the function gives log10 of the value"""
 
     def __post_init__(self) -> None:
-        given: Any = self.function
-        if not isinstance(given, Function):
-            object.__setattr__(self, "function", Number(given))
+        function: Any = self.function
+        if not isinstance(function, Function):
+            object.__setattr__(self, "function", Number(function))
         for bound in ("low", "high"):
             object.__setattr__(self, bound, real("entry", bound, getattr(self, bound)))
         object.__setattr__(self, "log10", bool(self.log10))
@@ -112,7 +112,7 @@ class Schedule:
                 f"schedule: asks for horizons of up to {max(self.largest)} steps, at most {LONGEST} may be."
             )
         if not isinstance(self.name, str) or not all(
-            isinstance(each, Mapping) for each in (self.provenance, self.made_for)
+            isinstance(record, Mapping) for record in (self.provenance, self.made_for)
         ):
             raise InvalidInput("schedule: name must be text, provenance and made_for mappings.")
 
@@ -127,8 +127,8 @@ class Schedule:
             raise InvalidInput(f"schedule: domain: need finite low <= high for each of {', '.join(self.inputs)}.")
 
     def _check_entries(self) -> None:
-        named = all(isinstance(name, str) for name in self.entries) and len(set(self.entries)) == len(self.entries)
-        if not named or not 0 < len(self.entries) <= MOST_ENTRIES:
+        are_names = all(isinstance(name, str) for name in self.entries) and len(set(self.entries)) == len(self.entries)
+        if not are_names or not 0 < len(self.entries) <= MOST_ENTRIES:
             raise InvalidInput(f"schedule: entries = {self.entries!r}: must be 1 to {MOST_ENTRIES} different names.")
         if set(self.tuning) != set(self.entries):
             raise InvalidInput(
@@ -201,14 +201,14 @@ class Schedule:
         InvalidInput
             When the rows are not like `SchedulingVariables`.
         """
-        given = np.atleast_2d(reals("schedule: the scheduling variables", variables))
+        points = np.atleast_2d(reals("schedule: the scheduling variables", variables))
         least = len(VARIABLES) - len(SchedulingVariables._field_defaults)
-        if given.ndim != 2 or not least <= given.shape[1] <= len(VARIABLES):
+        if points.ndim != 2 or not least <= points.shape[1] <= len(VARIABLES):
             raise InvalidInput(
-                f"schedule: variables of shape {given.shape}: need a row for each, like `SchedulingVariables`."
+                f"schedule: variables of shape {points.shape}: need a row for each, like `SchedulingVariables`."
             )
-        rows = np.zeros((len(given), len(VARIABLES)))
-        rows[:, : given.shape[1]] = given
+        rows = np.zeros((len(points), len(VARIABLES)))
+        rows[:, : points.shape[1]] = points
         tunings = np.full((len(rows), len(self.entries)), np.nan)
         kernel.schedule_all(rows, self.plan(1), tunings)
         return tunings
@@ -262,8 +262,8 @@ class Schedule:
     def loaded(cls, content: Mapping[str, Any]) -> Self:
         """The schedule of a file's content; raises `KeyError`, `TypeError`, `ValueError`, ... when it makes none."""
         entries = {
-            each["name"]: Entry(load_function(each["function"]), each["low"], each["high"], each["log10"])
-            for each in content["entries"]
+            entry["name"]: Entry(load_function(entry["function"]), entry["low"], entry["high"], entry["log10"])
+            for entry in content["entries"]
         }
         if len(entries) != len(content["entries"]):
             raise InvalidInput("two entries have the same name")
@@ -279,19 +279,23 @@ class Schedule:
         )
 
 
-def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
+def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
     array = np.zeros(1, kernel.SETTINGS)
     settings, pool = array[0], Pool()
-    settings.n_inputs, settings.n_entries, settings.of_mpc = len(made.inputs), len(made.entries), made.of_mpc
-    for row, name, (low, high) in zip(settings.inputs, made.inputs, made.domain.tolist(), strict=False):
+    settings.n_inputs, settings.n_entries, settings.of_mpc = (
+        len(schedule.inputs),
+        len(schedule.entries),
+        schedule.of_mpc,
+    )
+    for row, name, (low, high) in zip(settings.inputs, schedule.inputs, schedule.domain.tolist(), strict=False):
         row.place, row.low, row.high = NAMES.index(name), low, high
-    for row, name in zip(settings.entries, made.entries, strict=False):
-        entry = made.tuning[name]
+    for row, name in zip(settings.entries, schedule.entries, strict=False):
+        entry = schedule.tuning[name]
         row.kind = pool.add(entry.function, row)
-        row.log10, row.horizon = entry.log10, made.of_mpc and name in HORIZONS
+        row.log10, row.horizon = entry.log10, schedule.of_mpc and name in HORIZONS
         row.low, row.high = entry.low, entry.high
-    if made.guard is not None:
-        made.guard.pack(settings.guard, pool)
+    if schedule.guard is not None:
+        schedule.guard.pack(settings.guard, pool)
     return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + kernel.SCRATCH
 
 
@@ -351,30 +355,30 @@ def Learned(
     functions: by entry; `log10_ratio` in place of R is the logarithm of R/Q, Q then being a number (1 when left out);
     inputs, domain: see `Schedule`; bounds: (low, high) of each entry's value, `BOUNDS` where left out.
     """
-    given = dict(functions)
+    entry_functions = dict(functions)
     bounds = {**BOUNDS, **(bounds or {})}
-    decades = "log10_ratio" in given
+    decades = "log10_ratio" in entry_functions
     if decades:
-        if "R" in given:
+        if "R" in entry_functions:
             raise InvalidInput("Learned: give either R or log10_ratio.")
-        if given.setdefault("Q", 1.0) not in (1.0, Number(1.0)):
+        if entry_functions.setdefault("Q", 1.0) not in (1.0, Number(1.0)):
             raise InvalidInput("Learned: with log10_ratio, Q must be 1: only R/Q changes the control law.")
-        given["R"] = given.pop("log10_ratio")
-    for entry in (*given, *bounds):
+        entry_functions["R"] = entry_functions.pop("log10_ratio")
+    for entry in (*entry_functions, *bounds):
         if entry not in ENTRIES:
             raise InvalidInput(
                 f"Learned: unknown entry {entry!r}: entries are {', '.join(ENTRIES)}, and log10_ratio for R."
             )
     entries = {
         entry: Entry(_function(entry, function), *bounds[entry], decades and entry == "R")
-        for entry, function in given.items()
+        for entry, function in entry_functions.items()
     }
     return Schedule(tuple(inputs), np.asarray(domain, float), entries, name=name, provenance=provenance or {})
 
 
-def _function(entry: str, given: Function | float) -> Function:
-    if isinstance(given, Function):
-        return given
-    if not math.isfinite(real("Learned", entry, given)):
-        raise InvalidInput(f"Learned: {entry} = {given!r}: must be finite.")
-    return Number(given)
+def _function(entry: str, function: Function | float) -> Function:
+    if isinstance(function, Function):
+        return function
+    if not math.isfinite(real("Learned", entry, function)):
+        raise InvalidInput(f"Learned: {entry} = {function!r}: must be finite.")
+    return Number(function)

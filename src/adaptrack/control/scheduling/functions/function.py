@@ -120,5 +120,5 @@ def load_function(saved: Mapping[str, Any]) -> Function:
 
 def read_array(values: Any, kind: Any = np.float64) -> NDArray[Any]:
     """Numbers of a file as an array; text, or fractions where whole numbers are needed, raise `TypeError`."""
-    given = np.asarray(values)
-    return given.astype(kind, casting="safe" if given.size else "unsafe")
+    array = np.asarray(values)
+    return array.astype(kind, casting="safe" if array.size else "unsafe")

@@ -46,17 +46,17 @@ class Network(Function):
     kind = "network"
 
     def __post_init__(self) -> None:
-        wide = len(self.low)
-        fits = self.low.shape == self.high.shape == (wide,) and len(self.weights) == len(self.biases) > 0
+        width = len(self.low)
+        fits = self.low.shape == self.high.shape == (width,) and len(self.weights) == len(self.biases) > 0
         for weights, biases in zip(self.weights, self.biases, strict=False):
-            fits = fits and weights.shape == (wide, len(biases)) and biases.ndim == 1
-            wide = len(biases)
-        if not fits or wide != 1:
+            fits = fits and weights.shape == (width, len(biases)) and biases.ndim == 1
+            width = len(biases)
+        if not fits or width != 1:
             raise InvalidInput(
                 "Network: the arrays do not fit each other; see the shapes in the class's documentation."
             )
         numbers = (self.low, self.high, *self.weights, *self.biases, np.array([self.out_low, self.out_high]))
-        if not all(np.isfinite(each).all() for each in numbers):
+        if not all(np.isfinite(array).all() for array in numbers):
             raise InvalidInput("Network: a weight, bias or scale is not finite.")
         if not (self.high > self.low).all():
             raise InvalidInput("Network: need low < high for every input.")
@@ -68,7 +68,7 @@ class Network(Function):
     @property
     def n_parameters(self) -> int:
         """Number of learned numbers: weights and biases."""
-        return sum(each.size for each in (*self.weights, *self.biases))
+        return sum(array.size for array in (*self.weights, *self.biases))
 
     def predict(self, x: Array) -> Array:
         h = (x - self.low) / (self.high - self.low)
@@ -90,15 +90,15 @@ class Network(Function):
         return replace(self, out_low=self.out_low + by, out_high=self.out_high + by)
 
     def blended(self, share: float, value: float) -> Self:
-        kept, added = 1.0 - share, share * value
-        return replace(self, out_low=kept * self.out_low + added, out_high=kept * self.out_high + added)
+        complement, added = 1.0 - share, share * value
+        return replace(self, out_low=complement * self.out_low + added, out_high=complement * self.out_high + added)
 
     def save(self) -> dict[str, Any]:
         return {
             "low": self.low.tolist(),
             "high": self.high.tolist(),
-            "weights": [each.tolist() for each in self.weights],
-            "biases": [each.tolist() for each in self.biases],
+            "weights": [array.tolist() for array in self.weights],
+            "biases": [array.tolist() for array in self.biases],
             "out_low": float(self.out_low),
             "out_high": float(self.out_high),
             "relu": bool(self.relu),

@@ -65,7 +65,7 @@ class Sugeno(Function):
         fits = fits and self.consequents.shape == (rules, inputs + 1) and self.weights.shape == (rules,) and rules > 0
         if not fits:
             raise InvalidInput("Sugeno: the arrays do not fit each other; see the shapes in the class's documentation.")
-        if not all(np.isfinite(each).all() for each in (self.premises, self.consequents, self.weights)):
+        if not all(np.isfinite(array).all() for array in (self.premises, self.consequents, self.weights)):
             raise InvalidInput("Sugeno: a premise, consequent or weight is not finite.")
         if (self.premises[:, :CENTRE] <= 0.0).any():
             raise InvalidInput("Sugeno: the widths and slopes of membership functions must be positive.")
@@ -151,11 +151,11 @@ class Sugeno(Function):
 
 def fuzzify(x: Array, system: Sugeno) -> Array:
     """Layer 1, eq. (24): (n, M) logarithms of the memberships of the inputs x (n, D)."""
-    away = distance(x, system)
-    log_mu = -0.5 * away**2
+    distances = distance(x, system)
+    log_mu = -0.5 * distances**2
     bell = system.bell
     if bell.any():
-        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(away[:, bell], system.premises[bell, SLOPE]))
+        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(distances[:, bell], system.premises[bell, SLOPE]))
     return log_mu
 
 

@@ -51,12 +51,14 @@ class Table(Function):
         from scipy.interpolate import RegularGridInterpolator
 
         x = np.clip(x, *np.array([(axis[0], axis[-1]) for axis in self.axes]).T)
-        more = [d for d, axis in enumerate(self.axes) if len(axis) > 1]  # an axis of one node says nothing
+        varied_axes = [d for d, axis in enumerate(self.axes) if len(axis) > 1]  # an axis of one node says nothing
         values = self.values.squeeze()
-        if not more:
+        if not varied_axes:
             return np.full(len(x), float(values))
         method = "linear" if self.method == "multilinear" else "nearest"
-        return np.asarray(RegularGridInterpolator([self.axes[d] for d in more], values, method)(x[:, more]))
+        return np.asarray(
+            RegularGridInterpolator([self.axes[d] for d in varied_axes], values, method)(x[:, varied_axes])
+        )
 
     def pack(self) -> Packed:
         kind = kernel.NEAREST if self.method == "nearest" else kernel.MULTILINEAR
