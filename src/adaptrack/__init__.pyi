@@ -99,6 +99,7 @@ from .drive.batch import rollout_batch as rollout_batch
 from .drive.metrics import Metrics as Metrics, compute_metrics as compute_metrics
 from .drive.simulate import rollout as rollout, simulate as simulate
 from .drive.trajectory import Trajectory as Trajectory
+from .drive.world import Driver as Driver
 from .export.c_library import export_c as export_c
 from .export.fmu import export_fmu as export_fmu
 from .export.page_file import export_page as export_page
