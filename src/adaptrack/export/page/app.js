@@ -103,9 +103,9 @@ const asSentence = text => text.replace(/\.?$/, ".");
 const MOST_LETTERS = 300;
 function shortened(text) {
   const lines = text.split("\n");
-  let kept = lines[0].length > MOST_LETTERS ? `${lines[0].slice(0, MOST_LETTERS)} ….` : lines[0], count = 1;
-  while (count < lines.length && kept.length + lines[count].length < MOST_LETTERS) kept += ` ${lines[count++]}`;
-  return count < lines.length ? `${kept} And ${lines.length - count} more.` : kept;
+  let firstLine = lines[0].length > MOST_LETTERS ? `${lines[0].slice(0, MOST_LETTERS)} ….` : lines[0], count = 1;
+  while (count < lines.length && firstLine.length + lines[count].length < MOST_LETTERS) firstLine += ` ${lines[count++]}`;
+  return count < lines.length ? `${firstLine} And ${lines.length - count} more.` : firstLine;
 }
 
 async function engineOfPage() {
@@ -118,8 +118,8 @@ async function engineOfPage() {
 // A worker that dies is begun anew, with the same setup; if that one dies at once as well, it stays so.
 let deaths = [];
 function engineDied(why) {
-  const now = performance.now();
-  deaths = [...deaths.filter(each => now - each < 30000), now];
+  const time = performance.now();
+  deaths = [...deaths.filter(death => time - death < 30000), time];
   if (page.drive) page.drive.over = true;
   if (deaths.length > 2) {
     page.notice(`The simulation stopped three times (${why}). Choose another car, road or controller, or reload the page.`);
@@ -129,17 +129,17 @@ function engineDied(why) {
   start(setup).then(() => page.notice(`The simulation stopped (${why}) and was begun anew: the drive starts again.`), () => {});
 }
 
-let asked = 0;
+let requests = 0;
 async function start(setup, {playing = null, keepNotice = false} = {}) {
-  const number = ++asked, plays = playing ?? page.clock.playing, before = page.setup;
+  const number = ++requests, plays = playing ?? page.clock.playing, before = page.setup;
   if (!keepNotice) page.notice("");
   try {
     return await begun(setup, number, plays);
   } catch (error) {
-    if (number !== asked) return null;
+    if (number !== requests) return null;
     // the engine has ended the drive that was; it begins anew, the first of the page where there was none
     if (error instanceof Refusal) await begun(before ?? firstSetup(), number, plays).catch(() => {});
-    if (number === asked) refused(error, setup);
+    if (number === requests) refused(error, setup);
     throw error;
   }
 }
@@ -151,7 +151,7 @@ async function begun(setup, number, plays) {
   const engine = await engineOfPage();
   beginning++;
   const started = await engine.ask({type: "start", setup}).finally(() => { beginning--; });
-  if (number !== asked) return null;
+  if (number !== requests) return null;
   page.setup = setup;
   page.drive = beginDrive(started);
   page.clock.restart({start: 0, end: 0, period: started.period, limit: Math.min(started.duration ?? Infinity, LONGEST)});
@@ -233,7 +233,7 @@ async function advanceBy(periods) {
   let left = periods;
   while (left > 0 && page.drive && !page.drive.over) {
     if (page.drive.busy || waiting.size) {
-      await new Promise(done => setTimeout(done, 2));
+      await new Promise(resolve => setTimeout(resolve, 2));
       continue;
     }
     const count = await advance(Math.min(left, MOST_AT_ONCE));
@@ -411,7 +411,7 @@ let span = 20;
 function chooseSpan(seconds) {
   span = seconds;
   page.plots?.setSpan(seconds);
-  for (const each of document.querySelectorAll("[data-span]")) each.setAttribute("aria-pressed", +each.dataset.span === seconds);
+  for (const button of document.querySelectorAll("[data-span]")) button.setAttribute("aria-pressed", +button.dataset.span === seconds);
 }
 
 function setUpLooks() {

@@ -5,10 +5,10 @@
 //   pythonOf(setup), commandOf(setup)     text
 
 const SCHEDULES = {"published-nn": "road-nn", "published-anfis": "road-anfis"};
-const given = value => value !== null && value !== undefined;
+const isSet = value => value !== null && value !== undefined;
 const pythonNumber = value => Number.isFinite(value) ? String(+(+value).toPrecision(12)) : "float('inf')";
 const text = value => JSON.stringify(String(value));
-const told = pairs => Object.entries(pairs).filter(([, value]) => given(value)).map(([name, value]) => `${name}=${pythonNumber(value)}`).join(", ");
+const pythonArguments = pairs => Object.entries(pairs).filter(([, value]) => isSet(value)).map(([name, value]) => `${name}=${pythonNumber(value)}`).join(", ");
 
 function pythonOf(setup) {
   const {car, road, speed, truth, profile, seed} = setup, lines = ["import adaptrack as at", ""];
@@ -26,16 +26,16 @@ function pythonOf(setup) {
 
 function pythonCar({name, sheet, file}) {
   if (name) return [`car = at.load_vehicle(${text(name)})`];
-  if (sheet) return [`car = at.vehicle_from_data_sheet("my-car", ${told(sheet)})`];
+  if (sheet) return [`car = at.vehicle_from_data_sheet("my-car", ${pythonArguments(sheet)})`];
   return [`car = at.load_vehicle(${text(`${file.name ?? "my-car"}.toml`)})`];
 }
 
 function pythonWorld(profile, truth = {}) {
   const lines = [`world = at.load_profile(${text(profile)})`];
-  let steering = told({lag: truth.lag, dead_time: truth.dead_time, bias: truth.bias});
+  let steering = pythonArguments({lag: truth.lag, dead_time: truth.dead_time, bias: truth.bias});
   if (truth.lag === 0) steering += ", rate=float('inf')";
   if (steering) lines.push(`world = world.replace(steering=world.steering.replace(${steering}))  # the true steering`);
-  if (given(truth.noise) && truth.noise !== 1)
+  if (isSet(truth.noise) && truth.noise !== 1)
     lines.push(`noises = {n: ${pythonNumber(truth.noise)} * v for n, v in dict(world).items() if n.startswith("noise_") and v < float("inf")}`, "world = world.replace(**noises)");
   return lines;
 }
@@ -50,12 +50,12 @@ function pythonRoad(road, surface) {
 }
 
 function pythonDrive(road, speed, truth = {}) {
-  const wind = given(truth.wind) ? `wind=${pythonNumber(truth.wind)}` : "", friction = given(truth.friction) ? `friction=${pythonNumber(truth.friction)}` : "";
+  const wind = isSet(truth.wind) ? `wind=${pythonNumber(truth.wind)}` : "", friction = isSet(truth.friction) ? `friction=${pythonNumber(truth.friction)}` : "";
   if (road.test) {
     const changed = [friction, wind && `${wind}, wind_gain=1.0`].filter(Boolean).join(", ");
     return [`drive = at.load_scenario(${text(road.test)})${changed && `.replace(${changed})`}`];
   }
-  const lines = [], planned = !given(speed?.constant);
+  const lines = [], planned = !isSet(speed?.constant);
   if (!road.points && !generatedLength(road)) lines.push("from adaptrack.export.page_setup import page_road");
   if (planned) lines.push("from adaptrack.road import Comfort");
   if (road.points?.length > MOST_DRAWN) lines.push("from adaptrack.road.points import read_points", `points = read_points(${text(`${road.name ?? "road"}.csv`)}).points`);
@@ -68,8 +68,8 @@ function pythonDrive(road, speed, truth = {}) {
 }
 
 function pythonController({kind, tuning, belief}) {
-  const tuned = tuning && TUNINGS.every(name => given(tuning[name])) ? `, at.Tuning(${told(tuning)})` : "";
-  const believed = belief && told(belief) ? `, belief=at.Steering(${told(belief)})` : "", profile = `profile=${text(page.setup.profile)}`;
+  const tuned = tuning && TUNINGS.every(name => isSet(tuning[name])) ? `, at.Tuning(${pythonArguments(tuning)})` : "";
+  const believed = belief && pythonArguments(belief) ? `, belief=at.Steering(${pythonArguments(belief)})` : "", profile = `profile=${text(page.setup.profile)}`;
   const schedule = SCHEDULES[kind] ? `, scheduler=at.load_scheduler(${text(SCHEDULES[kind])})` : "", loop = "period=world.period, preview=world.preview";
   if (kind.startsWith("published")) return `at.published_mpc(car${tuned}, ${loop}${schedule})`;
   if (kind === "learning") return `at.MPC(car${tuned}, ${profile}, learning=at.Learning())`;
@@ -86,7 +86,7 @@ function commandOf(setup) {
   if (car.file) vehicle = `${car.file.name ?? "my-car"}.toml`;
   const parts = road.test ? ["adaptrack simulate", road.test] : ["adaptrack drive", road.points ? "road.csv" : road.name];
   parts.push(`--vehicle ${vehicle}`, `--profile ${profile}`);
-  if (!road.test) parts.push(given(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
+  if (!road.test) parts.push(isSet(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
   if (generatedLength(road)) parts.push(`--length ${generatedLength(road)}`);
   if (seed) parts.push(`--seed ${seed}`);
   const names = {informed: "informed", learning: "informed", published: "standard", "pure-pursuit": "pure-pursuit", stanley: "stanley", lqr: "lqr"};
@@ -100,7 +100,7 @@ function commandOf(setup) {
     else if (tuning) missing.push("the tuning");
   }
   if (road.points) missing.push("the points of the road (write them to road.csv, x,y a line)");
-  if (TRUTHS.some(name => given(truth[name]))) missing.push("the true steering, noise, friction and wind (a profile of your own says the first two)");
+  if (TRUTHS.some(name => isSet(truth[name]))) missing.push("the true steering, noise, friction and wind (a profile of your own says the first two)");
   const lines = [...first, `${[...new Set(parts)].join(" ")} --out drive`];
   if (missing.length) lines.push(`# not in the command, see the Python lines: ${[...new Set(missing)].join(", ")}`);
   return lines.join("\n");

@@ -37,21 +37,21 @@ function load({ kernels, data }) {
 
 // -- a drive ----------------------------------------------------------------------------------------------------------
 function start({ id, setup }) {
-  const made = { setup, owned: [], cars: [], done: 0 };
+  const newDrive = { setup, owned: [], cars: [], done: 0 };
   try {
-    owning(made.owned, () => begin(made, setup));
+    owning(newDrive.owned, () => begin(newDrive, setup));
   } catch (error) { // the drive under way goes on
-    end(made);
+    end(newDrive);
     throw error;
   }
   end(drive);
-  drive = made;
-  return [owning(made.owned, () => started(id, made))];
+  drive = newDrive;
+  return [owning(newDrive.owned, () => started(id, newDrive))];
 }
 
 function begin(made, setup) {
-  const asked = setup?.controllers;
-  if (!Array.isArray(asked) || asked.length < 1 || asked.length > MOST_CARS)
+  const controllers = setup?.controllers;
+  if (!Array.isArray(controllers) || controllers.length < 1 || controllers.length > MOST_CARS)
     throw new Refusal("controller 1", "Choose one or two controllers.");
   const seed = Number(setup.seed ?? 0);
   if (!(Number.isSafeInteger(seed) && seed >= 0))
@@ -59,13 +59,13 @@ function begin(made, setup) {
   const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
   const samples = samplesOf(setup, of, car, world);
   Object.assign(made, { world, car, of, samples, seed });
-  asked.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
+  controllers.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
 }
 
 /** A car of its own with its controller, before its first instant. */
 function carRun(entry, made, where) {
   const { world, car, samples } = made, actuator = copied("synthesis.plant.Actuator", world.actuator.$numbers);
-  const own = {
+  const state = {
     entry: { ...entry },
     where,
     world: { ...world, settings: { ...world.settings }, actuator },
@@ -73,17 +73,17 @@ function carRun(entry, made, where) {
     made: [],
     shown: null,
   };
-  made.cars.push(own);
-  own.plant = plantOf(car, own.world, topSpeedOf(samples));
-  own.measured = mine(memory.array("F", [written.sizes.measured]));
-  own.span = mine(memory.row("period.Span", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
-  owning(own.made, () => {
-    const controller = controllerOf(entry, car, own.world, where);
-    Object.assign(own, ready(own, controller, made));
+  made.cars.push(state);
+  state.plant = plantOf(car, state.world, topSpeedOf(samples));
+  state.measured = mine(memory.array("F", [written.sizes.measured]));
+  state.span = mine(memory.row("period.Span", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
+  owning(state.made, () => {
+    const controller = controllerOf(entry, car, state.world, where);
+    Object.assign(state, ready(state, controller, made));
   });
-  own.columns = [...written.frame, ...own.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name))];
-  own.horizon = own.run.mpc.settings.longest_horizon;
-  own.moves = own.run.mpc.settings.most_moves;
+  state.columns = [...written.frame, ...state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name))];
+  state.horizon = state.run.mpc.settings.longest_horizon;
+  state.moves = state.run.mpc.settings.most_moves;
 }
 
 /** A run with a controller, before its first instant. */
@@ -158,9 +158,9 @@ const linked = (name) => ({ function: name });
 const NO_ROAD = { of: [-1n] };
 
 function end(ended) {
-  for (const own of ended?.cars ?? []) {
-    [own.run, ...(own.shown ?? [])].forEach((each) => memory.free(each));
-    forget(own.made);
+  for (const car of ended?.cars ?? []) {
+    [car.run, ...(car.shown ?? [])].forEach((part) => memory.free(part));
+    forget(car.made);
   }
   if (ended) forget(ended.owned);
 }
@@ -170,17 +170,17 @@ function started(id, { world, of, samples, cars, car }) {
   return {
     type: "started", id, period: world.period, duration, laps, road: drawn(of),
     plan: plan && { s: plan.s.values.slice(), speed: plan.speed.values.slice() },
-    cars: cars.map((own) => ({
-      name: own.entry.kind,
-      words: own.controller.known.words,
-      columns: own.columns,
-      horizon: own.horizon,
-      moves: own.moves,
+    cars: cars.map((entry) => ({
+      name: entry.entry.kind,
+      words: entry.controller.known.words,
+      columns: entry.columns,
+      horizon: entry.horizon,
+      moves: entry.moves,
       outline: car.outline,
-      limits: limitsOf(own),
-      tuning: namedTuning(own),
-      belief: beliefOf(own),
-      truth: truthOf(own.world),
+      limits: limitsOf(entry),
+      tuning: namedTuning(entry),
+      belief: beliefOf(entry),
+      truth: truthOf(entry.world),
     })),
   };
 }
@@ -190,8 +190,8 @@ function limitsOf(own) {
   const { known, law } = own.controller, from = law ? known.common : own.run.mpc.settings;
   return { move: real(from.move_max), angle: real(from.angle_max), Np: own.horizon, Nc: own.moves };
 }
-const namedTuning = (own) =>
-  Object.fromEntries(own.controller.known.tuning_names.map((name, k) => [name, own.controller.tuning[k]]));
+const namedTuning = (car) =>
+  Object.fromEntries(car.controller.known.tuning_names.map((name, k) => [name, car.controller.tuning[k]]));
 /** What a controller believes of the steering at first: lag, dead time (s); null where it does not say. */
 function beliefOf({ controller }) {
   if (!controller.parts) return null;
@@ -204,7 +204,7 @@ const truthOf = ({ actuator }) => ({ lag: actuator.lag, dead_time: actuator.dead
 /** Room for what so many periods show. */
 function room(own, count) {
   if ((own.shown?.[0].shape[0] ?? 0) >= count) return own.shown;
-  (own.shown ?? []).forEach((each) => memory.free(each));
+  (own.shown ?? []).forEach((part) => memory.free(part));
   return (own.shown = [own.columns.length, 2 * own.horizon, own.moves].map((width) =>
     memory.array("F", [count, width]),
   ));
@@ -212,8 +212,8 @@ function room(own, count) {
 
 function advance({ id, periods }) {
   const count = Math.max(0, Math.min(Math.floor(Number(periods)) || 0, MOST_PERIODS)), first = current().done;
-  const cars = drive.cars.map((own) => advanceCar(own, count));
-  const most = Math.max(...cars.map((each) => each.count));
+  const cars = drive.cars.map((car) => advanceCar(car, count));
+  const most = Math.max(...cars.map((advanced) => advanced.count));
   drive.done += most;
   return [{ type: "frames", id, first, count: most, cars }];
 }
@@ -225,25 +225,25 @@ function current() {
 
 function advanceCar(own, count) {
   const [numbers, predicted, moves] = room(own, Math.max(count, 1));
-  let driven = 0;
-  while (driven < count) {
-    const wanted = Math.min(count - driven, pulledFor(own));
-    const more = memory.call(
+  let periods = 0;
+  while (periods < count) {
+    const chunk = Math.min(count - periods, pulledFor(own));
+    const advanced = memory.call(
       "drive_and_show",
-      wanted,
+      chunk,
       own.span,
       own.run,
-      below(numbers, driven),
-      below(predicted, driven),
-      below(moves, driven),
+      below(numbers, periods),
+      below(predicted, periods),
+      below(moves, periods),
     );
-    driven += more;
-    afterPull(own, more);
-    if (more < wanted) break;
+    periods += advanced;
+    afterPull(own, advanced);
+    if (advanced < chunk) break;
   }
-  const cut = (block) => block.values.slice(0, driven * block.shape[1]);
+  const cut = (block) => block.values.slice(0, periods * block.shape[1]);
   return {
-    count: driven,
+    count: periods,
     numbers: cut(numbers),
     predicted: new Float32Array(cut(predicted)),
     moves: new Float32Array(cut(moves)),
@@ -258,12 +258,12 @@ const ENDINGS = [null, "it left the road", "it spun", "its motion is no number a
 
 /** When a car has ended, and why: null at the end of its road; null while it drives. */
 function ending({ run, span }) {
-  const own = run.memory.own.row(0);
-  if (own.ended === 0 && own.instant < span.periods) return null;
+  const record = run.memory.own.row(0);
+  if (record.ended === 0 && record.instant < span.periods) return null;
   return {
-    at: own.ended === 0 ? span.periods * run.settings.period : own.ended_at,
-    why: ENDINGS[own.ended],
-    kind: own.ended,
+    at: record.ended === 0 ? span.periods * run.settings.period : record.ended_at,
+    why: ENDINGS[record.ended],
+    kind: record.ended,
   };
 }
 
@@ -282,32 +282,32 @@ function change({ id, car, what }) {
 const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors };
 
 function tuning(cars, given) {
-  for (const own of cars) {
-    const { controller, where } = own;
+  for (const car of cars) {
+    const { controller, where } = car;
     if (controller.schedule)
       throw new Refusal(where, "Its schedule chooses the tuning of this controller at every instant.");
     if (controller.law) throw new Refusal(where, "This controller has no horizons and weights.");
-    const [Np, Nc, Q, R] = checkedTuning({ ...namedTuning(own), ...given }, where);
-    if (Np > own.horizon || Nc > own.moves)
-      throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${own.horizon} and ${own.moves}.`);
+    const [Np, Nc, Q, R] = checkedTuning({ ...namedTuning(car), ...given }, where);
+    if (Np > car.horizon || Nc > car.moves)
+      throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${car.horizon} and ${car.moves}.`);
     controller.tuning = [Np, Nc, Q, R];
-    own.run.tuning.values.set(controller.tuning);
+    car.run.tuning.values.set(controller.tuning);
   }
 }
 
 /** Another belief: the controller is made anew, but for its command, its plan and its tuning. */
 function belief(cars, given) {
-  for (const own of cars) {
-    const { controller, where, entry } = own, made = [];
+  for (const car of cars) {
+    const { controller, where, entry } = car, made = [];
     if (!controller.order) throw new Refusal(where, "This controller believes nothing of the steering.");
     const believed = { ...entry.belief, ...given };
     owning(made, () => {
-      const other = controllerOf({ ...entry, belief: believed, tuning: null }, drive.car, own.world, where);
-      other.settings.$set({ longest_horizon: own.horizon, most_moves: own.moves });
-      exchange(own, { ...other, tuning: controller.tuning });
+      const other = controllerOf({ ...entry, belief: believed, tuning: null }, drive.car, car.world, where);
+      other.settings.$set({ longest_horizon: car.horizon, most_moves: car.moves });
+      exchange(car, { ...other, tuning: controller.tuning });
     });
-    forget(own.made);
-    own.made = made;
+    forget(car.made);
+    car.made = made;
     entry.belief = believed;
   }
 }
@@ -336,10 +336,10 @@ function keepArrays(record, other) {
 
 /** The world as it truly is. */
 function truth(cars, given) {
-  for (const own of cars) {
-    const before = own.run.settings.steering_lag;
-    changeTruth(own.world, given);
-    applyTruth(own, before);
+  for (const car of cars) {
+    const before = car.run.settings.steering_lag;
+    changeTruth(car.world, given);
+    applyTruth(car, before);
   }
   if ("friction" in given) everywhere(FRICTION, given.friction, "friction");
   if ("wind" in given) everywhere(WIND, given.wind, "wind");
@@ -367,37 +367,37 @@ function sampled(row) {
 
 /** Another value of samples, for all cars: as they were planned where null is given. */
 function everywhere(rows, value, name) {
-  const wanted = value === null ? null : checked("truth", name, value);
+  const target = value === null ? null : checked("truth", name, value);
   for (const row of rows) {
     const values = sampled(row);
-    if (wanted === null) values.set(drive.planned[row]);
-    else values.fill(wanted);
+    if (target === null) values.set(drive.planned[row]);
+    else values.fill(target);
   }
 }
 const FRICTION = [...WHEELS, "known_friction"], WIND = ["wind_y", "known_wind"];
 
 const inBlock = (row) => row * written.places.slots;
-const setState = (own, name, value) => (own.run.vehicles.block.values[inBlock(written.places.state[name])] = value);
-const stateOf = (own, name) => own.run.vehicles.block.values[inBlock(written.places.state[name])];
+const setState = (car, name, value) => (car.run.vehicles.block.values[inBlock(written.places.state[name])] = value);
+const stateOf = (car, name) => car.run.vehicles.block.values[inBlock(written.places.state[name])];
 /** Where the wheels of a car without lag are: at the command that acts. */
-const wheelAngle = (own) =>
-  own.run.vehicles.block.values[inBlock(written.places.states + written.places.input.command)];
+const wheelAngle = (car) =>
+  car.run.vehicles.block.values[inBlock(written.places.states + written.places.input.command)];
 
 function push(cars, { vy = 0, yaw_rate = 0 }) {
   const pushed = { vy: checked("push", "vy", vy), yaw_rate: checked("push", "yaw_rate", yaw_rate) };
-  for (const own of cars)
-    for (const [name, by] of Object.entries(pushed)) setState(own, name, stateOf(own, name) + by);
+  for (const car of cars)
+    for (const [name, by] of Object.entries(pushed)) setState(car, name, stateOf(car, name) + by);
 }
 
 function pull(cars, { angle, duration }) {
   const pulled = { angle: checked("pull", "angle", angle), duration: checked("pull", "duration", duration) };
-  for (const own of cars) {
-    own.pull = { angle: pulled.angle, left: Math.round(pulled.duration / own.world.period) };
-    applyTruth(own, own.run.settings.steering_lag);
+  for (const car of cars) {
+    car.pull = { angle: pulled.angle, left: Math.round(pulled.duration / car.world.period) };
+    applyTruth(car, car.run.settings.steering_lag);
   }
 }
 /** Periods until the wheel is let go. */
-const pulledFor = (own) => (own.pull ? Math.max(own.pull.left, 1) : Infinity);
+const pulledFor = (car) => (car.pull ? Math.max(car.pull.left, 1) : Infinity);
 function afterPull(own, driven) {
   if (!own.pull) return;
   own.pull.left -= driven;
@@ -435,12 +435,12 @@ const SENSORS = ["vy", "yaw", "yaw_rate", "y", "wheel_angle", "lateral_accelerat
 function sensors(cars, given) {
   for (const name of Object.keys(given))
     if (!SENSORS.includes(name)) throw new Refusal("sensors", `There is no sensor “${name}”.`);
-  for (const own of cars) {
+  for (const car of cars) {
     for (const [name, on] of Object.entries(given)) {
-      if (on) delete own.sensors[name];
-      else own.sensors[name] = "off";
+      if (on) delete car.sensors[name];
+      else car.sensors[name] = "off";
     }
-    applyTruth(own, own.run.settings.steering_lag);
+    applyTruth(car, car.run.settings.steering_lag);
   }
 }
 
@@ -460,7 +460,7 @@ function read(message) {
 /** Text of a file: a drive, whose columns are those of its frames, one behind the other; a car. */
 const WRITERS = {
   csv: ({ columns }) => {
-    const count = Math.max(0, ...Object.values(columns).map((each) => each.length));
+    const count = Math.max(0, ...Object.values(columns).map((column) => column.length));
     return inputs.writeDrive({ cars: [{ columns, count }] }, 0, written.inputs);
   },
   car: ({ car }) => savedCar(car),
@@ -489,13 +489,13 @@ function answers(message) {
   try {
     return answer(message);
   } catch (error) {
-    const known = error instanceof Refusal;
+    const isRefusal = error instanceof Refusal;
     return [
       {
         type: "refused",
         id: message.id,
-        message: known ? error.message : `The engine failed: ${error.message}`,
-        where: known ? error.where : "engine",
+        message: isRefusal ? error.message : `The engine failed: ${error.message}`,
+        where: isRefusal ? error.where : "engine",
       },
     ];
   }

@@ -76,7 +76,7 @@ function makeHistory(started, {top = 0.5, shades = []} = {}) {
 }
 
 function growingCar({name, outline, columns: names, horizon = 0, moves: most = 0, limits = {}}) {
-  const columns = Object.fromEntries(names.map(each => [each, new Float64Array(1024)]));
+  const columns = Object.fromEntries(names.map(name => [name, new Float64Array(1024)]));
   const paths = makeShelf(2 * horizon), plans = makeShelf(most);
   const path = {x: new Float64Array(horizon), y: new Float64Array(horizon), count: 0};
   const plan = {values: null, count: 0, least: NaN, most: NaN};

@@ -19,7 +19,7 @@
 const inputs = (() => {
   class InputError extends Error {
     constructor(problems) {
-      const shownOnes = problems.slice(0, MOST_SHOWN).map((each) => each.message);
+      const shownOnes = problems.slice(0, MOST_SHOWN).map((problem) => problem.message);
       if (problems.length > MOST_SHOWN) shownOnes.push(`And ${problems.length - MOST_SHOWN} more.`);
       super(shownOnes.join("\n"));
       this.name = "InputError";
@@ -62,9 +62,9 @@ const inputs = (() => {
     return Number.isFinite(value) && isWithin(value, field.bounds);
   }
 
-  const wanted = (field) => `must be ${field.allowed} (${field.meaning}).`;
-  const nameOf = (answers, status) => Object.keys(answers).find((each) => answers[each] === status);
-  const byKey = (fields, value) => Object.fromEntries(fields.map((each) => [each.key, value(each)]));
+  const requirement = (field) => `must be ${field.allowed} (${field.meaning}).`;
+  const nameOf = (answers, status) => Object.keys(answers).find((answer) => answers[answer] === status);
+  const byKey = (fields, value) => Object.fromEntries(fields.map((field) => [field.key, value(field)]));
 
   // -- a car ---------------------------------------------------------------------------------------------------------
   const PARTS = ["steering", "body", "known_within", "domain"];
@@ -85,25 +85,25 @@ const inputs = (() => {
     const problems = [], textOf = (value, other) => (typeof value === "string" && value ? value : other);
     const section = (name, values) => readSection(name, values, given, problems);
     const parts = PARTS.map((part) => [part, part !== "known_within" || car[part] ? section(part, car[part]) : null]);
-    const made = {
+    const result = {
       name: textOf(car.name, "car"), description: textOf(car.description, ""), numbers: section("", car.numbers),
       ...Object.fromEntries(parts),
       tyre: { name: textOf(car.tyre?.name, "own tyre"), numbers: section("tyre", car.tyre?.numbers) },
     };
     if (problems.length) throw new InputError(problems);
-    return made;
+    return result;
   }
 
   /** The numbers of a section, defaults for those that are left out; what is wrong goes to problems. */
   function readSection(name, values, given, problems) {
-    const found = {};
-    for (const field of given.sections[name].filter((each) => !each.kind.startsWith("text"))) {
+    const section = {};
+    for (const field of given.sections[name].filter((numeric) => !numeric.kind.startsWith("text"))) {
       const value = values?.[field.row] ?? field.default, place = name ? `${name}.${field.row}` : field.row;
       const isRight = value === null ? !field.required : isAllowed(field, value, given);
-      if (!isRight) problems.push(problem(`${place} = ${shown(value)}: ${wanted(field)}`, null, place));
-      found[field.row] = value;
+      if (!isRight) problems.push(problem(`${place} = ${shown(value)}: ${requirement(field)}`, null, place));
+      section[field.row] = value;
     }
-    return found;
+    return section;
   }
 
   // -- a data sheet --------------------------------------------------------------------------------------------------
@@ -119,9 +119,9 @@ const inputs = (() => {
   function readSheet(typed, given) {
     const problems = [], say = (message, key) => problems.push(problem(message, null, key));
     const sheet = { name: "sheet", mass: null, wheelbase: null, load: 0, truck: 0, known: {} };
-    const fields = given.sections[""].filter((each) => each.kind === "number" && each.key !== "mass");
+    const fields = given.sections[""].filter((field) => field.kind === "number" && field.key !== "mass");
     for (const [key, value] of Object.entries(typed)) {
-      const field = fields.find((each) => each.key === key);
+      const field = fields.find((candidate) => candidate.key === key);
       if (value === null || value === undefined || value === "") continue;
       if (key === "name") sheet.name = String(value);
       else if (key === "body_style") sheet.truck = styleOf(value, given, problems);
@@ -129,7 +129,7 @@ const inputs = (() => {
       else say(`${shown(key)}: unknown; give ${listed(["mass", "wheelbase", "load", "body_style"])}.`, key);
     }
     for (const key of ["mass", "wheelbase"]) {
-      if (sheet[key] !== null || problems.some((each) => each.key === key)) continue;
+      if (sheet[key] !== null || problems.some((problem) => problem.key === key)) continue;
       say(`${key}: missing; give ${key === "mass" ? "kg" : "m"}, ${given.sheet[key].join(" to ")}.`, key);
     }
     if (problems.length) throw new InputError(problems);
@@ -137,8 +137,8 @@ const inputs = (() => {
   }
 
   function styleOf(value, given, problems) {
-    const known = given.sheet.body_styles, place = known.indexOf(value);
-    const message = `body_style = ${shown(value)}: unknown; give ${listed(known)}.`;
+    const styles = given.sheet.body_styles, place = styles.indexOf(value);
+    const message = `body_style = ${shown(value)}: unknown; give ${listed(styles)}.`;
     if (place < 0) problems.push(problem(message, null, "body_style"));
     return Math.max(place, 0);
   }
@@ -149,7 +149,7 @@ const inputs = (() => {
     if (flaw) say(flaw);
     else if (field) {
       if (isAllowed(field, number, given)) sheet.known[key] = number;
-      else say(wanted(field));
+      else say(requirement(field));
     } else if (key === "load") {
       if (number >= 0 && number < Infinity) sheet.load = number;
       else say("must be a finite number >= 0 (kg of people and luggage beside the car).");
@@ -178,7 +178,7 @@ const inputs = (() => {
       if (field.kind !== "number") continue;
       numbers[field.key] = car[field.key] ?? sheet.known[field.key] ?? field.default;
     }
-    for (const part of PARTS) parts[part] = byKey(given.sections[part], (each) => each.default);
+    for (const part of PARTS) parts[part] = byKey(given.sections[part], (field) => field.default);
     const finite = (x) => (Number.isFinite(x) ? x : null);
     parts.known_within = byKey(given.sections.known_within, ({ key }) => finite(within[key]));
     const description = `estimated from ${sheet.mass} kg and ${sheet.wheelbase} m of wheelbase`;
@@ -204,8 +204,8 @@ const inputs = (() => {
     if (comesBack) lines.length = --count;
     if (count < rules.fewest) refuse(`${count} points; a road needs at least ${rules.fewest}, x and y in metres.`);
     const notes = repeated ? [...columns.notes, `${repeated} repeated points are left out.`] : columns.notes;
-    const found = { name, points: points.slice(0, 2 * count), count, lines, closed: closed ?? comesBack, notes };
-    return lookAlikes(found, columns);
+    const road = { name, points: points.slice(0, 2 * count), count, lines, closed: closed ?? comesBack, notes };
+    return lookAlikes(road, columns);
   }
 
   /** The cells of the lines of numbers, each with its line, and the header; see `read_points` in Python. */
@@ -243,7 +243,7 @@ const inputs = (() => {
       const incomplete = titles.length > 1 && titles.every(isName) && (marked || (fits && blanks));
       return { line, titles, commented: true, complete, incomplete };
     });
-    return headers.findLast((each) => each.complete) ?? headers.findLast((each) => each.incomplete) ?? null;
+    return headers.findLast((header) => header.complete) ?? headers.findLast((header) => header.incomplete) ?? null;
   }
 
   const BLANKS = /\s+/;
@@ -261,7 +261,7 @@ const inputs = (() => {
   const plainTitle = (title) => title.replace(/\s*[[(].*/, "").trim().toLowerCase();
 
   function titleOf(title, rules) {
-    return Object.keys(rules.columns).find((each) => rules.columns[each].includes(plainTitle(title))) ?? null;
+    return Object.keys(rules.columns).find((column) => rules.columns[column].includes(plainTitle(title))) ?? null;
   }
 
   /** Which columns hold x and y, and notes. */
@@ -275,8 +275,8 @@ const inputs = (() => {
     }
     const [x, y] = ["x", "y"].map((name) => columnOf(name, names, header, rules));
     const left = names.filter((title, k) => k !== x && k !== y).join(", ");
-    const said = [x, y].some((k) => unitOf(names[k]) === "m");
-    return { x, y, count: names.length, said, notes: left ? [`Columns left out: ${left.slice(0, 200)}.`] : [] };
+    const inMetres = [x, y].some((k) => unitOf(names[k]) === "m");
+    return { x, y, count: names.length, said: inMetres, notes: left ? [`Columns left out: ${left.slice(0, 200)}.`] : [] };
   }
 
   function columnOf(name, names, header, rules) {
@@ -312,11 +312,11 @@ const inputs = (() => {
       ends[at] = Math.min(ends[at], road.points[k]);
       ends[at + 1] = Math.max(ends[at + 1], road.points[k]);
     }
-    const wide = ends[1] - ends[0], high = ends[3] - ends[2], size = Math.max(wide, high);
-    const far = Math.max(...ends.map(Math.abs)) > 20 * size;
+    const width = ends[1] - ends[0], high = ends[3] - ends[2], size = Math.max(width, high);
+    const isFar = Math.max(...ends.map(Math.abs)) > 20 * size;
     const globe = Math.abs(ends[0]) <= 180 && Math.abs(ends[2]) <= 180;
-    const spans = `${rounded(wide)} m by ${rounded(high)} m`;
-    if (!columns.said && size < 2 && far && globe) {
+    const spans = `${rounded(width)} m by ${rounded(high)} m`;
+    if (!columns.said && size < 2 && isFar && globe) {
       refuse(`x and y span ${spans}, far from 0, as degrees of longitude and latitude do: convert them to metres.`);
     }
     const note = `The road spans ${spans}: if x and y are in km, multiply them by 1000.`;
@@ -347,9 +347,9 @@ const inputs = (() => {
   function writeDrive(history, car, given) {
     const { columns, count } = history.cars[car];
     const names = Object.keys(given.drive).filter((name) => columns[given.drive[name]]);
-    const kept = names.map((name) => columns[given.drive[name]]), rows = [names.join(",")];
+    const chosenColumns = names.map((name) => columns[given.drive[name]]), rows = [names.join(",")];
     const cell = (x) => (Number.isFinite(x) ? String(x) : "");
-    for (let k = 0; k < count; k++) rows.push(kept.map((values) => cell(values[k])).join(","));
+    for (let k = 0; k < count; k++) rows.push(chosenColumns.map((values) => cell(values[k])).join(","));
     return `${rows.join("\n")}\n`;
   }
 

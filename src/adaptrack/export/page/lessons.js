@@ -106,7 +106,7 @@ const lessonOf = hash => ALL_LESSONS.find(({id}) => hash === `#lesson=${id}`) ??
 
 // As if the slider had been moved by hand.
 function touchSlider(id, value) {
-  const slider = SLIDERS.find(each => each.id === id);
+  const slider = SLIDERS.find(candidate => candidate.id === id);
   slide(slider, value);
   byId(`touch-${id}`).value = toSlider(slider, value);
   if (!page.clock.playing) page.clock.play();
@@ -122,12 +122,12 @@ function setUpLessons() {
     a.textContent = number ? `${number} ${short}` : short;
     a.onclick = event => {
       event.preventDefault();
-      openLesson(ALL_LESSONS.find(each => each.id === id));
+      openLesson(ALL_LESSONS.find(lesson => lesson.id === id));
     };
     item.append(a);
     return item;
   };
-  list.append(label("Six lessons:"), ...LESSONS.map((each, i) => link(each, i + 1)), label("The paper’s tests:"), ...PAPER_TESTS.map(each => link(each, 0)));
+  list.append(label("Six lessons:"), ...LESSONS.map((lesson, i) => link(lesson, i + 1)), label("The paper’s tests:"), ...PAPER_TESTS.map(lesson => link(lesson, 0)));
   byId("lesson-do").onclick = () => lesson?.act();
   byId("lesson-next").onclick = () => openLesson(ALL_LESSONS[(ALL_LESSONS.indexOf(lesson) + 1) % ALL_LESSONS.length]);
   page.on("tick", tickLesson);

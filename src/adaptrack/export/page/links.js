@@ -48,7 +48,7 @@ function linkPoints(words, notes, {points, closed, name}) {
     words.set("road", "mountain");
     return;
   }
-  words.set("points", points.map(point => point.map(each => +(+each).toFixed(2)).join(",")).join(";"));
+  words.set("points", points.map(point => point.map(coordinate => +(+coordinate).toFixed(2)).join(",")).join(";"));
   if (closed) words.set("closed", "1");
   if (name) words.set("road-name", name);
 }
@@ -73,14 +73,14 @@ function setupOf(hash) {
   for (const name of TRUTHS) setup.truth[name] = number(name);
   const controllers = ["c1", "c2"].filter(key => words.has(key)).map(key => {
     const some = (names, prefix) => {
-      const found = Object.fromEntries(names.map(name => [name, number(`${prefix}.${name}`, 0)]).filter(([, value]) => value !== null));
-      return Object.keys(found).length ? found : null;
+      const values = Object.fromEntries(names.map(name => [name, number(`${prefix}.${name}`, 0)]).filter(([, value]) => value !== null));
+      return Object.keys(values).length ? values : null;
     };
     return oneController(words.get(key), {tuning: some(TUNINGS, key), belief: some(BELIEFS, `${key}.belief`), ...(words.get(`${key}.told`) === "1" ? {told: true} : {})});
   });
   for (const {kind} of controllers) if (!CONTROLLERS[kind]) notes.push(`The link names a controller ${kind}, which this page does not have.`);
-  const known = controllers.filter(({kind}) => CONTROLLERS[kind]);
-  if (known.length) setup.controllers = known;
+  const supported = controllers.filter(({kind}) => CONTROLLERS[kind]);
+  if (supported.length) setup.controllers = supported;
   return {setup, notes};
 }
 

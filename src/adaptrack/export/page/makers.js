@@ -28,7 +28,7 @@ function mine(made) {
   return made;
 }
 function forget(list) {
-  list.splice(0).forEach((each) => memory.free(each));
+  list.splice(0).forEach((part) => memory.free(part));
 }
 
 /** A number as Python writes it: JSON has no infinity. */
@@ -39,7 +39,7 @@ function copied(name, ...tables) {
   const row = mine(memory.row(name));
   for (const [field, [, kind]] of Object.entries(memory.layouts[name].fields)) {
     if (kind !== "f" && kind !== "i") continue;
-    const table = tables.find((each) => each?.[field] !== undefined && each[field] !== null);
+    const table = tables.find((row) => row?.[field] !== undefined && row[field] !== null);
     const value = table === undefined ? NaN : real(table[field]);
     row[field] = kind === "i" ? (Number.isNaN(value) ? 0 : Number(value)) : value;
   }
@@ -64,13 +64,13 @@ const NO_CAR = "The numbers of the car do not belong together: write its file ag
 function carOf(given) {
   if (given?.sheet) return carOfSheet(given.sheet);
   if (given?.file) return carOfFile(readBy("car", () => inputs.checkedCar(given.file, written.inputs)));
-  const known = written.cars[given?.name];
-  if (!known)
+  const builtIn = written.cars[given?.name];
+  if (!builtIn)
     throw new Refusal(
       "car",
       `There is no car named “${given?.name}”: choose one of ${Object.keys(written.cars).join(", ")}.`,
     );
-  return carOfFile(known);
+  return carOfFile(builtIn);
 }
 
 /** What throws InputErrors, as a refusal. */
@@ -146,17 +146,17 @@ function carOfRows(car, row, within) {
 const STEERING = ["lag", "dead_time", "bias"];
 
 function worldOf(name, truth) {
-  const known = written.profiles[name];
-  if (!known)
+  const profile = written.profiles[name];
+  if (!profile)
     throw new Refusal(
       "profile",
       `There is no profile named “${name}”: choose one of ${Object.keys(written.profiles).join(", ")}.`,
     );
-  const { period, delay, remembered, plants } = known;
+  const { period, delay, remembered, plants } = profile;
   const world = {
-    name, period, delay, remembered, plants, usual: known.settings, sees_vy: real(known.settings.noise_vy) < Infinity,
-    actuator: copied("synthesis.plant.Actuator", known.actuator), usual_actuator: known.actuator,
-    settings: Object.fromEntries(Object.entries(known.settings).map(([key, value]) => [key, real(value)])),
+    name, period, delay, remembered, plants, usual: profile.settings, sees_vy: real(profile.settings.noise_vy) < Infinity,
+    actuator: copied("synthesis.plant.Actuator", profile.actuator), usual_actuator: profile.actuator,
+    settings: Object.fromEntries(Object.entries(profile.settings).map(([key, value]) => [key, real(value)])),
   };
   changeTruth(world, truth ?? {});
   return world;
@@ -166,14 +166,14 @@ function worldOf(name, truth) {
 function changeTruth(world, truth) {
   for (const name of STEERING) {
     if (!(name in truth)) continue;
-    const usual = real(world.usual_actuator[name]);
-    world.actuator[name] = truth[name] == null ? usual : checked("truth", name, truth[name]);
+    const fallback = real(world.usual_actuator[name]);
+    world.actuator[name] = truth[name] == null ? fallback : checked("truth", name, truth[name]);
   }
   if ("noise" in truth) {
     const factor = truth.noise == null ? 1 : checked("truth", "noise", truth.noise);
-    for (const name of Object.keys(world.settings).filter((each) => each.startsWith("noise_"))) {
-      const usual = real(world.usual[name]);
-      if (usual < Infinity) world.settings[name] = usual * factor;
+    for (const name of Object.keys(world.settings).filter((setting) => setting.startsWith("noise_"))) {
+      const fallback = real(world.usual[name]);
+      if (fallback < Infinity) world.settings[name] = fallback * factor;
     }
   }
 }
@@ -200,18 +200,18 @@ function settingsOf(car, world, substeps) {
 function roadOf(given) {
   if (given?.test !== undefined) return testOf(given.test);
   if (Array.isArray(given?.points)) return roadThrough(given);
-  const known = written.roads[given?.name];
-  if (!known)
+  const builtIn = written.roads[given?.name];
+  if (!builtIn)
     throw new Refusal(
       "road",
       `There is no road named “${given?.name}”: choose one of ${Object.keys(written.roads).join(", ")}.`,
     );
   const arrays = ["numbers", "start", "pieces"].map((name) =>
-    mine(memory.array("F", known[name].shape, unpackedNumbers(known[name].f8))),
+    mine(memory.array("F", builtIn[name].shape, unpackedNumbers(builtIn[name].f8))),
   );
   const numbers = view(arrays[0], 0, [written.sizes.road_numbers]);
   const headings = mine(memory.array("F", [memory.call("heading_count", numbers)]));
-  return road({ ...known, name: given.name }, numbers, arrays[1], arrays[2], headings, true);
+  return road({ ...builtIn, name: given.name }, numbers, arrays[1], arrays[2], headings, true);
 }
 
 /** A part of an array as an array of its own. */
@@ -248,13 +248,13 @@ function roadThrough({ points, closed = false, name = "points" }) {
   const refuse = (text) => { throw new Refusal("road", text); };
   if (points.length > MOST_POINTS)
     refuse(`The road has ${points.length} points: at most ${MOST_POINTS} are taken; leave out some.`);
-  const flat = Float64Array.from(points.flatMap((each) => [Number(each?.[0]), Number(each?.[1])]));
-  const given = mine(memory.array("F", [points.length, 2], flat));
-  let size = memory.call("path_words", given, closed ? 1 : 0);
+  const flat = Float64Array.from(points.flatMap((point) => [Number(point?.[0]), Number(point?.[1])]));
+  const array = mine(memory.array("F", [points.length, 2], flat));
+  let size = memory.call("path_words", array, closed ? 1 : 0);
   for (;;) {
     if (size > MOST_WORDS) refuse("The road is too long: its points may be in millimetres. Give x and y in metres.");
     const path = mine(memory.array("F", [Math.max(size, 1)]));
-    const [status, found] = memory.call("path_through", given, closed ? 1 : 0, path);
+    const [status, found] = memory.call("path_through", array, closed ? 1 : 0, path);
     if (status === written.inputs.answers.path_through.TOO_SMALL) {
       size *= 2;
       continue;
@@ -273,13 +273,13 @@ function roadThrough({ points, closed = false, name = "points" }) {
 }
 
 function testOf(name) {
-  const known = written.tests[name];
-  if (!known)
+  const scenario = written.tests[name];
+  if (!scenario)
     throw new Refusal(
       "road",
       `There is no test named “${name}”: choose one of ${Object.keys(written.tests).join(", ")}.`,
     );
-  return { ...known, name, test: true, closed: false };
+  return { ...scenario, name, test: true, closed: false };
 }
 
 /** Centre line and edges, for drawing. */
@@ -308,7 +308,7 @@ function drawn(of) {
 }
 function drawnTest(of) {
   const [x, y] = ["x", "y"].map((name) => unpackedNumbers(of[name].f8));
-  const beside = (by) => Float64Array.from(y, (each) => each + by);
+  const shifted = (by) => Float64Array.from(y, (value) => value + by);
   return {
     name: of.name,
     closed: false,
@@ -317,8 +317,8 @@ function drawnTest(of) {
     x,
     y,
     left_x: x.slice(),
-    left_y: beside(of.width_left),
-    right_x: x.slice(), right_y: beside(-of.width_right),
+    left_y: shifted(of.width_left),
+    right_x: x.slice(), right_y: shifted(-of.width_right),
   };
 }
 
@@ -441,16 +441,16 @@ const WHEELS = ["friction_front_left", "friction_front_right", "friction_rear_le
 // -- controller -------------------------------------------------------------------------------------------------------
 /** A controller of a setup: an MPC or a law, ready to be laid into a run. */
 function controllerOf(entry, car, world, where) {
-  const known = written.controllers[entry?.kind]?.[world.name];
-  if (!known)
+  const template = written.controllers[entry?.kind]?.[world.name];
+  if (!template)
     throw new Refusal(
       where,
       `There is no controller of the kind “${entry?.kind}”: choose one of ` +
         `${Object.keys(written.controllers).join(", ")}.`,
     );
-  if (known.refused) throw new Refusal(where, known.refused);
+  if (template.refused) throw new Refusal(where, template.refused);
   const believed = carKnownTo(entry, car);
-  return known.common ? lawOf(entry, known, believed, where) : mpcOf(entry, known, believed, world, where);
+  return template.common ? lawOf(entry, template, believed, where) : mpcOf(entry, template, believed, world, where);
 }
 
 function checkedTuning(tuning, where) {
@@ -478,15 +478,15 @@ function checkedBelief(belief, where) {
 function mpcOf(entry, known, car, world, where) {
   const believed = checkedBelief(entry.belief, where),
     wanted = entry.tuning ? checkedTuning(entry.tuning, where) : null;
-  const made = known.order
+  const synthesis = known.order
     ? informedConstants(known, car, believed, where)
     : publishedConstants(known, car, world.period, where);
-  const { constants } = made, settings = constants.settings.row(0);
+  const { constants } = synthesis, settings = constants.settings.row(0);
   const tuning = wanted ?? [...constants.tuning.values.slice(0, 4)];
   settings.longest_horizon = Math.max(settings.longest_horizon, tuning[0]);
   settings.most_moves = Math.max(settings.most_moves, tuning[1]);
   return {
-    ...made,
+    ...synthesis,
     kind: entry.kind,
     known,
     settings,
@@ -540,13 +540,13 @@ function lawOf(entry, known, car, where) {
   if (entry.tuning && "Np" in entry.tuning)
     throw new Refusal(where, "This controller has no horizons: leave its tuning as it is.");
   const delay = () => memory.call("steering_delay", car.rows.file);
-  const tuning = Object.values({ ...known.tuning, ...entry.tuning }).map((each) =>
-    Number.isNaN(real(each)) ? delay() : real(each),
+  const tuning = Object.values({ ...known.tuning, ...entry.tuning }).map((value) =>
+    Number.isNaN(real(value)) ? delay() : real(value),
   );
   const parameters = mine(memory.array("F", [known.size])), common = copied("synthesis.laws.Common", known.common);
-  const wanted = memory.calls[known.made_by][0].length === 4 ? [vectorOf(tuning)] : [];
-  const fine = memory.call(known.made_by, car.rows.car, common, ...wanted, parameters);
-  if (wanted.length && !fine)
+  const tuningArgument = memory.calls[known.made_by][0].length === 4 ? [vectorOf(tuning)] : [];
+  const fine = memory.call(known.made_by, car.rows.car, common, ...tuningArgument, parameters);
+  if (tuningArgument.length && !fine)
     throw new Refusal(where, "There is no gain for weights so far apart: bring them nearer to one another.");
   return { kind: entry.kind, known, law: true, parameters, tuning, learns: false };
 }
@@ -558,7 +558,7 @@ function laid(controller, of) {
 }
 
 function laidLaw({ known, parameters, tuning }) {
-  const held = known.diagnostics.indexOf("held"), count = known.diagnostics.length;
+  const heldPlace = known.diagnostics.indexOf("held"), count = known.diagnostics.length;
   const settings = copied("controllers.mpc.Settings", {
     ...ZEROS("controllers.mpc.Settings"), period: known.common.period, longest_horizon: 1, most_moves: 1,
     output_min: -Infinity, output_max: Infinity,
@@ -577,7 +577,7 @@ function laidLaw({ known, parameters, tuning }) {
       law: {
         function: { function: known.function },
         parameters: share(parameters),
-        held: held < 0 ? 0 : 1 + held,
+        held: heldPlace < 0 ? 0 : 1 + heldPlace,
         preview: known.preview ? 1 : 0,
       },
     },
@@ -618,29 +618,29 @@ function arraysOf(name) {
 
 /** What a record is made of: the sizes of its arrays in turn from rows of sizes, with the values that are given. */
 function shaped(name, rows, values = {}) {
-  const made = {};
+  const parts = {};
   for (const [field, [, kind, more]] of Object.entries(memory.layouts[name].fields)) {
     const value = values[field];
-    if (kind === "r") made[field] = shaped(more, rows, value);
+    if (kind === "r") parts[field] = shaped(more, rows, value);
     else if ("FIR".includes(kind)) {
       const shape = rows.shift().slice(0, kind === "R" ? 1 : more);
-      made[field] =
+      parts[field] =
         value?.share || value?.words || value?.f8 || value?.i8 ? { ...value, shape } : { shape, values: value };
-    } else if (value !== undefined) made[field] = value;
+    } else if (value !== undefined) parts[field] = value;
   }
-  return made;
+  return parts;
 }
 
 /** All that a run is made of; counts: of its loop and its controller; settings: of the MPC, which are completed. */
 function runOfSizes(settings, counts, values) {
   const count = arraysOf("rollout.Run"), table = mine(memory.array("I", [count, 4]));
-  const asked = mine(memory.row("rollout.Counts"));
+  const countsRow = mine(memory.row("rollout.Counts"));
   for (const [field, value] of Object.entries(counts)) {
-    if (typeof value === "object") asked[field].$set(value);
-    else asked[field] = value;
+    if (typeof value === "object") countsRow[field].$set(value);
+    else countsRow[field] = value;
   }
-  const found = memory.call("run_sizes", settings, asked, table);
-  if (found !== count) throw new Error(`a run has ${count} arrays, and ${found} are known`);
+  const status = memory.call("run_sizes", settings, countsRow, table);
+  if (status !== count) throw new Error(`a run has ${count} arrays, and ${status} are known`);
   const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
   return shaped("rollout.Run", rows, { ...values, mpc: { ...values.mpc, settings: settings.$numbers } });
 }

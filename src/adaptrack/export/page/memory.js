@@ -71,7 +71,7 @@ class Memory {
   /** A place for so many bytes, all zero. */
   _take(bytes) {
     const size = roundedUp(bytes);
-    const k = this.spare.findIndex((each) => each.size >= size);
+    const k = this.spare.findIndex((block) => block.size >= size);
     let at = this.end;
     if (k >= 0) {
       const place = this.spare[k];
@@ -92,11 +92,11 @@ class Memory {
     this.spare.push(each[key]);
     each[key] = null;
     this.spare.sort((a, b) => a.at - b.at);
-    this.spare = this.spare.reduce((kept, next) => {
-      const last = kept.at(-1);
+    this.spare = this.spare.reduce((merged, next) => {
+      const last = merged.at(-1);
       if (last && last.at + last.size === next.at) last.size += next.size;
-      else kept.push(next);
-      return kept;
+      else merged.push(next);
+      return merged;
     }, []);
     const last = this.spare.at(-1);
     if (last.at + last.size === this.end) this.end = this.spare.pop().at;
@@ -278,7 +278,7 @@ class Row {
 /** How a field is read and written. */
 function accessors(field, place, kind, more) {
   const word = (row) => row.$at / WORD + place;
-  const kept = (make) => function () {
+  const withMemory = (make) => function () {
     return (this.$parts[field] ??= make(this));
   };
   const set = function (value) {
@@ -286,11 +286,11 @@ function accessors(field, place, kind, more) {
   };
   if (kind === "f") return { get() { return this.$memory.real[word(this)]; }, set };
   if (kind === "i") return { get() { return Number(this.$memory.whole[word(this)]); }, set };
-  if (kind === "r") return { get: kept((row) => row.$memory.at(more, row.$at + WORD * place)), set };
+  if (kind === "r") return { get: withMemory((row) => row.$memory.at(more, row.$at + WORD * place)), set };
   if (kind === "W") return { get() { return this.$memory.real.subarray(word(this), word(this) + more); }, set };
-  if (kind === "S") return { get: kept((row) => new Block(row.$memory, row.$at + WORD * place, more[0], [more[1]])) };
+  if (kind === "S") return { get: withMemory((row) => new Block(row.$memory, row.$at + WORD * place, more[0], [more[1]])) };
   return {
-    get: kept((row) => {
+    get: withMemory((row) => {
       const sizes = kind === "R" ? 1 : more, first = word(row), { whole } = row.$memory;
       const shape = Array.from({ length: sizes }, (_, k) => Number(whole[first + 1 + k]));
       return new Block(row.$memory, Number(whole[first]), kind === "R" ? more : kind, shape);

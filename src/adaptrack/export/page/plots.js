@@ -166,18 +166,18 @@ function dashOf(car, line) {
 }
 
 function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const name in attributes) made.setAttribute(name, attributes[name]);
-  made.append(...children);
-  return made;
+  const node = document.createElement(tag);
+  for (const name in attributes) node.setAttribute(name, attributes[name]);
+  node.append(...children);
+  return node;
 }
 
 // A piece of a line, for the legend.
 function swatch(colour, dash, wide = 2.4) {
   const stroke = `stroke="${colour}" stroke-width="${wide}" stroke-dasharray="${dash.join(" ")}"`;
-  const made = element("template");
-  made.innerHTML = `<svg width="22" height="8" aria-hidden="true"><line x2="22" y1="4" y2="4" ${stroke}/></svg>`;
-  return made.content.firstChild;
+  const template = element("template");
+  template.innerHTML = `<svg width="22" height="8" aria-hidden="true"><line x2="22" y1="4" y2="4" ${stroke}/></svg>`;
+  return template.content.firstChild;
 }
 
 // What all kinds of plot have: a figure with title, legend and canvas.
@@ -194,9 +194,9 @@ function makeFrame(spec, history) {
       frame.dense = window.devicePixelRatio || 1;
       frame.width = Math.max(canvas.clientWidth, 1);
       frame.height = Math.max(canvas.clientHeight, 1);
-      for (const each of [canvas, frame.still]) {
-        each.width = Math.round(frame.width * frame.dense);
-        each.height = Math.round(frame.height * frame.dense);
+      for (const layer of [canvas, frame.still]) {
+        layer.width = Math.round(frame.width * frame.dense);
+        layer.height = Math.round(frame.height * frame.dense);
       }
     },
     // A value in the legend; those of one row stand together.
@@ -222,10 +222,10 @@ function write(node, text) {
 // The lines of all cars: {car, k, column, label, name (in full), colour, dash, step}.
 function linesOf(spec, history) {
   const several = history.cars.length > 1, alone = spec.lines.length === 1;
-  const shown = history.cars.filter(car => columnOf(car, spec.lines[0]));
+  const drawnCars = history.cars.filter(car => columnOf(car, spec.lines[0]));
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
-    if (!column || !shown.includes(car) || line.once && car !== shown[0]) return [];
+    if (!column || !drawnCars.includes(car) || line.once && car !== drawnCars[0]) return [];
     const label = several && alone ? car.name : line.label, colour = line.ink ? "ink" : k % 6;
     const name = several && !alone && !line.once ? `${car.name}, ${line.label}` : label;
     return [{car, k, column, label, name, colour, step: line.step, dash: line.ink ? TRUTH : dashOf(k, j)}];
@@ -512,22 +512,22 @@ function makeTimePlot(spec, history, clock, window_) {
 
   function textAt(line, t) {
     const value = valueAt(line.car, line.column, t, line.step) * scale, {band} = spec;
-    const wide = band && line.column === band.column ? (band.k ?? 2) * valueAt(line.car, band.sigma, t) : NaN;
-    if (!Number.isFinite(value) || !Number.isFinite(wide)) return inUnits(value);
-    if (!band.ratio) return `${signed(value, digits)} ± ${inUnits(wide * scale)}`;
-    const [low, high] = [-wide, wide].map(each => signed(value * Math.exp(each), digits));
+    const halfWidth = band && line.column === band.column ? (band.k ?? 2) * valueAt(line.car, band.sigma, t) : NaN;
+    if (!Number.isFinite(value) || !Number.isFinite(halfWidth)) return inUnits(value);
+    if (!band.ratio) return `${signed(value, digits)} ± ${inUnits(halfWidth * scale)}`;
+    const [low, high] = [-halfWidth, halfWidth].map(bound => signed(value * Math.exp(bound), digits));
     return `${inUnits(value)} (${low} to ${high})`;
   }
 
   function truthAt(t) {
-    let now = NaN;
-    eachTruth((time, value) => { if (time <= t + 1e-9) now = value; });
-    return now;
+    let current = NaN;
+    eachTruth((time, value) => { if (time <= t + 1e-9) current = value; });
+    return current;
   }
 
   // The values beside the labels.
   function tell() {
-    const t = clock.shown, limit = limits.find(each => each.value > 0);
+    const t = clock.shown, limit = limits.find(candidate => candidate.value > 0);
     if (limit) write(frame.limit, ` ${limit.label} ±${inUnits(limit.value * scale)}`);
     if (spec.marks) write(frame.limit, marked().length ? ` bars below: ${spec.marks.label}` : "");
     lines.forEach((line, i) => write(values[i], textAt(line, t)));
@@ -540,9 +540,9 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function spoken(t) {
-    const said = lines.map(line => `${line.name} ${textAt(line, t)}`);
-    if (hasTruth()) said.push(`true ${inUnits(truthAt(t))}`);
-    return said.join(", ");
+    const texts = lines.map(line => `${line.name} ${textAt(line, t)}`);
+    if (hasTruth()) texts.push(`true ${inUnits(truthAt(t))}`);
+    return texts.join(", ");
   }
 
   // The counts that have grown up to the instant that is shown.
@@ -567,11 +567,11 @@ function makeTimePlot(spec, history, clock, window_) {
   }
 
   function rangeText(line) {
-    const found = range(line);
-    if (!found) return "";
-    if (found.low === found.high) return ` ${line.name}: ${inUnits(found.low)} throughout.`;
+    const lineRange = range(line);
+    if (!lineRange) return "";
+    if (lineRange.low === lineRange.high) return ` ${line.name}: ${inUnits(lineRange.low)} throughout.`;
     const at = (value, t) => `${inUnits(value)} at ${signed(t, 1)} s`;
-    return ` ${line.name}: from ${at(found.low, found.lowAt)} to ${at(found.high, found.highAt)}.`;
+    return ` ${line.name}: from ${at(lineRange.low, lineRange.lowAt)} to ${at(lineRange.high, lineRange.highAt)}.`;
   }
 
   function describe() {
@@ -579,8 +579,8 @@ function makeTimePlot(spec, history, clock, window_) {
     const ends = `Between ${signed(plot.from, 1)} and ${signed(Math.min(plot.to, clock.end), 1)} s:`;
     const above = limits.filter(({value}) => value > 0);
     const met = above.map(({label, value}) => ` The ${label} is ±${inUnits(value * scale)}.`);
-    const now = `${spec.title} at ${signed(clock.shown, 2)} s: ${spoken(clock.shown)}.`;
-    return `${now} ${ends}${[...lines.map(rangeText), ...met, ...marked()].join("")}`;
+    const summary = `${spec.title} at ${signed(clock.shown, 2)} s: ${spoken(clock.shown)}.`;
+    return `${summary} ${ends}${[...lines.map(rangeText), ...met, ...marked()].join("")}`;
   }
 
   listenTo(plot, clock, px => toValue(px, 0)[0]);
@@ -685,7 +685,7 @@ function makeMovesPlot(spec, history, clock) {
   }
 
   function describe() {
-    const said = history.cars.map(car => {
+    const texts = history.cars.map(car => {
       const plan = movesOf(car);
       if (!plan) return `${car.name} plans no moves`;
       const most = Math.max(...Array.from(plan.values.subarray(0, plan.count), Math.abs));
@@ -693,7 +693,7 @@ function makeMovesPlot(spec, history, clock) {
       const next = inUnits(plan.values[0]);
       return `${car.name} plans ${plan.count} moves, the next ${next}, the largest ${inUnits(most)}${limit}`;
     });
-    return `${spec.title} at ${signed(clock.shown, 2)} s: ${said.join("; ")}.`;
+    return `${spec.title} at ${signed(clock.shown, 2)} s: ${texts.join("; ")}.`;
   }
 
   return plot;
@@ -762,7 +762,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   // The window: of so many seconds about the clock, moved only when the clock comes to its edge.
   function windowNow() {
     const start = clock.start, end = Math.max(clock.end, start + 1e-3);
-    if (!plots.span) return [start, clock.live ? start + SPANS.find(each => each > end - start) : end];
+    if (!plots.span) return [start, clock.live ? start + SPANS.find(span => span > end - start) : end];
     const span = clock.live ? plots.span : Math.min(plots.span, end - start), step = span / STEPS;
     if (clock.t > from + 0.96 * span) from = clock.t - 0.96 * span;
     if (clock.t < from) from = clock.t - 0.04 * span;
@@ -813,7 +813,7 @@ function makePlots(box, history, clock, specs = null, options = {}) {
 
   function paint(now) {
     const ends = windowNow(), next = state(ends);
-    if (!seen || next.some((each, i) => each !== seen[i])) for (const plot of plots.list) plot.stale = true;
+    if (!seen || next.some((value, i) => value !== seen[i])) for (const plot of plots.list) plot.stale = true;
     seen = next;
     pace += 0.1 * (Math.min(now - before, 100) - pace);
     before = now;
@@ -837,13 +837,13 @@ function makePlots(box, history, clock, specs = null, options = {}) {
   }
 
   function draw() {
-    const now = performance.now();
+    const time = performance.now();
     for (const plot of plots.list) {
-      plot.paintStill(now);
+      plot.paintStill(time);
       plot.stale = false;
       plot.paint();
     }
-    tell(now);
+    tell(time);
   }
 
   function describe() {

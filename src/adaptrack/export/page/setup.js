@@ -39,8 +39,8 @@ const copyOf = value => structuredClone(value);
 
 // ---- names
 
-const namesIn = (given, known) => !given ? Object.keys(known)
-  : Array.isArray(given) ? given.map(each => each.name ?? each) : Object.keys(given);
+const namesIn = (entries, defaults) => !entries ? Object.keys(defaults)
+  : Array.isArray(entries) ? entries.map(entry => entry.name ?? entry) : Object.keys(entries);
 const nameOfController = (kind, names = CONTROLLERS) => names[kind] ?? kind;
 const carName = car => car.name ? CARS[car.name] ?? car.name
   : car.sheet ? `car of ${car.sheet.mass} kg` : `car of the file ${car.file?.name ?? ""}`.trim();
@@ -251,9 +251,9 @@ const pointsIn = text => text.split("\n").map(line => line.trim()).filter(Boolea
 function thinned(line) {
   let length = 0;
   for (let i = 1; i < line.length; i++) length += Math.hypot(line[i][0] - line[i - 1][0], line[i][1] - line[i - 1][1]);
-  const apart = Math.max(TREMBLE, 1.05 * length / (MOST_DRAWN - 1)), kept = [line[0]];
-  for (const point of line) if (Math.hypot(point[0] - kept.at(-1)[0], point[1] - kept.at(-1)[1]) >= apart) kept.push(point);
-  return kept.map(point => point.map(each => Math.round(10 * each) / 10));
+  const spacing = Math.max(TREMBLE, 1.05 * length / (MOST_DRAWN - 1)), spaced = [line[0]];
+  for (const point of line) if (Math.hypot(point[0] - spaced.at(-1)[0], point[1] - spaced.at(-1)[1]) >= spacing) spaced.push(point);
+  return spaced.map(point => point.map(coordinate => Math.round(10 * coordinate) / 10));
 }
 
 async function driveOn(points, closed) {

@@ -37,39 +37,39 @@ function setUpSweep() {
 // The setup with so much lag; who is told of every change believes it.
 const withLag = (setup, lag) => ({
   ...setup, truth: {...setup.truth, lag},
-  controllers: setup.controllers.map(each => each.told ? {...each, belief: {...each.belief, lag}} : each),
+  controllers: setup.controllers.map(controller => controller.told ? {...controller, belief: {...controller.belief, lag}} : controller),
 });
 
 async function runSweep() {
   const setup = copyOf(page.setup), sweep = sweeping = {stop: false};
-  const found = setup.controllers.map((_, i) => ({name: nameOfCar(i), tried: [], borne: 0, lost: Infinity}));
+  const results = setup.controllers.map((_, i) => ({name: nameOfCar(i), tried: [], borne: 0, lost: Infinity}));
   const engine = await makeEngine();
   byId("sweep-found").hidden = false;
   const tryLag = async lag => {
-    const tried = await driveOnce(engine, withLag(setup, lag));
-    tried.forEach((each, i) => {
-      found[i].tried.push({lag, ...each});
-      if (each.failed || each.most > BORNE) found[i].lost = Math.min(found[i].lost, lag);
+    const drives = await driveOnce(engine, withLag(setup, lag));
+    drives.forEach((drive, i) => {
+      results[i].tried.push({lag, ...drive});
+      if (drive.failed || drive.most > BORNE) results[i].lost = Math.min(results[i].lost, lag);
     });
-    for (const each of found) {
-      each.tried.sort((a, b) => a.lag - b.lag);
-      each.borne = Math.max(0, ...each.tried.filter(one => one.lag < each.lost).map(one => one.lag));
+    for (const result of results) {
+      result.tried.sort((a, b) => a.lag - b.lag);
+      result.borne = Math.max(0, ...result.tried.filter(trial => trial.lag < result.lost).map(trial => trial.lag));
     }
-    if (!sweep.stop) showSweep(found, lag);
+    if (!sweep.stop) showSweep(results, lag);
   };
   try {
     for (const lag of LAGS) {
-      if (sweep.stop || found.every(each => lag > 1.8 * each.lost)) break;
+      if (sweep.stop || results.every(result => lag > 1.8 * result.lost)) break;
       await tryLag(lag);
     }
     for (let k = 0; k < HALVINGS; k++)
-      for (const each of found) if (!sweep.stop && each.lost < Infinity && each.borne > 0) await tryLag(+((each.borne + each.lost) / 2).toFixed(3));
+      for (const result of results) if (!sweep.stop && result.lost < Infinity && result.borne > 0) await tryLag(+((result.borne + result.lost) / 2).toFixed(3));
   } finally {
     engine.end();
     sweeping = null;
   }
-  if (!sweep.stop) showSweep(found, null);
-  return found;
+  if (!sweep.stop) showSweep(results, null);
+  return results;
 }
 
 async function driveOnce(engine, setup) {
@@ -91,18 +91,18 @@ async function driveOnce(engine, setup) {
 // ---- what was found
 
 function sentenceOf({name, borne, lost, tried}, alone) {
-  const who = alone ? "This controller" : `“${name}”`, to = lengthText(BORNE);
-  if (borne === 0 && lost < Infinity) return `${who} bears not even ${lost.toFixed(2)} s of lag: it strays further than ${to}.`;
-  const best = tried.find(each => each.lag === borne);
-  if (lost === Infinity) return `${who} bears all that was tried, ${borne.toFixed(2)} s of lag: it stays within ${lengthText(best.most)} of its line.`;
-  const off = tried.find(each => each.failed);
-  return `${who} bears ${borne.toFixed(2)} s of lag: to there it stays within ${to} of its line, at ${lost.toFixed(2)} s no more` +
+  const subject = alone ? "This controller" : `“${name}”`, to = lengthText(BORNE);
+  if (borne === 0 && lost < Infinity) return `${subject} bears not even ${lost.toFixed(2)} s of lag: it strays further than ${to}.`;
+  const best = tried.find(trial => trial.lag === borne);
+  if (lost === Infinity) return `${subject} bears all that was tried, ${borne.toFixed(2)} s of lag: it stays within ${lengthText(best.most)} of its line.`;
+  const off = tried.find(trial => trial.failed);
+  return `${subject} bears ${borne.toFixed(2)} s of lag: to there it stays within ${to} of its line, at ${lost.toFixed(2)} s no more` +
     `${off ? `, and at ${off.lag.toFixed(2)} s the drive fails` : ""}.`;
 }
 
 function showSweep(found, lag) {
   byId("sweep-plot").innerHTML = sweepPicture(found);
-  setText(byId("sweep-words"), lag === null ? found.map(each => sentenceOf(each, found.length === 1)).join(" ") : `Driving ${TRIED} s with ${lag.toFixed(2)} s of lag …`);
+  setText(byId("sweep-words"), lag === null ? found.map(result => sentenceOf(result, found.length === 1)).join(" ") : `Driving ${TRIED} s with ${lag.toFixed(2)} s of lag …`);
 }
 
 // Error over lag, logarithmic; a ring for the first car, a square for the second, a cross where the car was lost.
@@ -119,7 +119,7 @@ function sweepPicture(found) {
   parts.push(words((left + width - right) / 2, height - 4, "true lag (s); largest error", 'text-anchor="middle"'));
   found.forEach(({tried}, i) => {
     const colour = `var(--series-${i})`;
-    parts.push(`<polyline fill="none" stroke="${colour}" stroke-width="2" ${i ? 'stroke-dasharray="6 4"' : ""} points="${tried.map(each => `${x(each.lag)},${y(each.most)}`).join(" ")}"/>`);
+    parts.push(`<polyline fill="none" stroke="${colour}" stroke-width="2" ${i ? 'stroke-dasharray="6 4"' : ""} points="${tried.map(trial => `${x(trial.lag)},${y(trial.most)}`).join(" ")}"/>`);
     for (const {lag, most: reach, failed} of tried) {
       const [px, py] = [x(lag), y(reach)];
       parts.push(failed

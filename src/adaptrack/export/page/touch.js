@@ -129,15 +129,15 @@ async function send(touch) {
 
 function slide(slider, value) {
   const {setup} = page, {kind, name} = slider;
-  const who = setup.controllers.length > 1 && kind !== "truth" ? `, ${chosenCar ? "second" : "first"} car` : "";
-  const said = {text: `${slider.label}${who}: ${withUnit(slider, value)}`, key: `${slider.id}-${kind === "truth" ? "" : chosenCar}`};
-  const what = set(setup, kind, name, value);
+  const carText = setup.controllers.length > 1 && kind !== "truth" ? `, ${chosenCar ? "second" : "first"} car` : "";
+  const message = {text: `${slider.label}${carText}: ${withUnit(slider, value)}`, key: `${slider.id}-${kind === "truth" ? "" : chosenCar}`};
+  const path = set(setup, kind, name, value);
   page.setup = copyOf(setup);
   if (kind === "truth") tellTruth(name, value);
   if (kind === "belief") controllerNow().told = false;
-  SLIDERS.filter(each => each.kind === kind).forEach(showSlider);
+  SLIDERS.filter(candidate => candidate.kind === kind).forEach(showSlider);
   byId(`touch-${slider.id}`).setAttribute("aria-valuetext", withUnit(slider, value));
-  send({car: kind === "truth" ? null : chosenCar, what, said});
+  send({car: kind === "truth" ? null : chosenCar, what: path, said: message});
   if (kind === "truth") page.setup.controllers.forEach((_, i) => tellController(i, name));
   showTold();
   page.tell("touched", slider, value);
@@ -183,10 +183,10 @@ function set(setup, kind, name, value) {
     controller.belief = {lag: believedValue("lag", chosenCar), dead_time: believedValue("dead_time", chosenCar), ...controller.belief, [name]: value};
     return {belief: {...controller.belief}};
   }
-  const now = Object.fromEntries(["Np", "Nc", "Q", "R"].map(each => [each, tuningValue(each, chosenCar)]));
-  controller.tuning = {...now, [name]: value};
-  if (name === "Np") controller.tuning.Nc = Math.min(now.Nc, value);
-  if (name === "Nc") controller.tuning.Np = Math.max(now.Np, value);
+  const current = Object.fromEntries(["Np", "Nc", "Q", "R"].map(entry => [entry, tuningValue(entry, chosenCar)]));
+  controller.tuning = {...current, [name]: value};
+  if (name === "Np") controller.tuning.Nc = Math.min(current.Nc, value);
+  if (name === "Nc") controller.tuning.Np = Math.max(current.Np, value);
   return {tuning: {...controller.tuning}};
 }
 
@@ -205,9 +205,9 @@ function tellTruth(name, value, time = page.clock.end) {
 // Whether it was done.
 function once(what, text, car = null, detail = {}) {
   page.drive?.touches.push({...what, ...detail});
-  const done = change(car, what, {text});
+  const changed = change(car, what, {text});
   page.tell("touched", {id: Object.keys(what)[0]}, what);
-  return done;
+  return changed;
 }
 
 const leftRight = value => value > 0 ? "left" : "right";

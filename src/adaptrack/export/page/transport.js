@@ -27,7 +27,7 @@ const REDUCED_STEP = 0.5;  // s of the viewer's time between pictures
 
 function makeClock({start = 0, end = 0, period = 0.05, live = false} = {}) {
   const painters = new Set(), calm = matchMedia("(prefers-reduced-motion: reduce)");
-  let asked = false, before = 0;
+  let isRequested = false, before = 0;
   const clock = {
     t: start, start, end, period, live, limit: Infinity, playing: false, rate: 1, cursor: null, from: null,
     rates: RATES, reduced: calm.matches, onchange: null,
@@ -105,15 +105,15 @@ function makeClock({start = 0, end = 0, period = 0.05, live = false} = {}) {
   }
 
   function frame(now) {
-    asked = false;
+    isRequested = false;
     if (clock.playing) advance(now);
     for (const painter of painters) painter(now, clock);
     if (clock.playing) ask();
   }
 
   function ask() {
-    if (asked) return;
-    asked = true;
+    if (isRequested) return;
+    isRequested = true;
     requestAnimationFrame(frame);
   }
 
@@ -156,7 +156,7 @@ function makeTransport(box, clock, {keys = box, rates = RATES, view = null} = {}
   const rate = document.createElement("select");
   rate.dataset.part = "rate";
   rate.setAttribute("aria-label", "Speed of the replay");
-  for (const each of rates) rate.add(new Option(rateName(each), each, each === 1, each === 1));
+  for (const rateValue of rates) rate.add(new Option(rateName(rateValue), rateValue, rateValue === 1, rateValue === 1));
   rate.onchange = () => clock.setRate(+rate.value);
   const group = (...parts) => {
     const span = document.createElement("span");

@@ -123,7 +123,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
     const s = new Float64Array(x.length);
     for (let i = 1; i < s.length; i++) s[i] = s[i - 1] + Math.hypot(x[i] - x[i - 1], y[i] - y[i - 1]);
     const scale = length > 0 && s.length > 1 ? length / s[s.length - 1] : 1;
-    return s.map(each => each * scale);
+    return s.map(length => length * scale);
   }
 
   function setMode(follow, whole) {
@@ -149,8 +149,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
     for (const car of history.cars) widen(car.columns.x, car.columns.y, car.count);
     view.x = (box[0] + box[2]) / 2;
     view.y = (box[1] + box[3]) / 2;
-    const wide = Math.max(box[2] - box[0], 1), high = Math.max(box[3] - box[1], 1);
-    view.scale = clampScale(Math.min((view.width - 40) / wide, (view.height - 56) / high));
+    const width = Math.max(box[2] - box[0], 1), high = Math.max(box[3] - box[1], 1);
+    view.scale = clampScale(Math.min((view.width - 40) / width, (view.height - 56) / high));
     setMode(false, true);
   }
 
@@ -191,8 +191,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
   // -- the road
 
   const inView = (box, c, margin = 0) => {
-    const wide = (view.width / 2 + margin) / view.scale, high = (view.height / 2 + margin) / view.scale;
-    return box.meets(c, view.x - wide, view.y - high, view.x + wide, view.y + high);
+    const width = (view.width / 2 + margin) / view.scale, high = (view.height / 2 + margin) / view.scale;
+    return box.meets(c, view.x - width, view.y - high, view.x + width, view.y + high);
   };
 
   // Points [from, to] of a line; those nearer than `least` px to the one before are left out.
@@ -221,7 +221,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
   }
 
   function drawGrid() {
-    const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000].find(each => each * view.scale >= 70);
+    const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000].find(length => length * view.scale >= 70);
     if (!step) return;
     const [left, top] = toWorld(0, 0), [right, bottom] = toWorld(view.width, view.height);
     pen.strokeStyle = palette.grid;
@@ -584,12 +584,12 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   function drawLabel(text, px, py, colour = palette.ink) {
     pen.font = `13px ${palette.font}`;
-    const wide = pen.measureText(text).width + 12, x = Math.min(Math.max(px + 14, 4), view.width - wide - 4);
+    const width = pen.measureText(text).width + 12, x = Math.min(Math.max(px + 14, 4), view.width - width - 4);
     const y = Math.min(Math.max(py - 26, 14), view.height - 14);
     pen.fillStyle = palette.ground;
     pen.globalAlpha = 0.88;
     pen.beginPath();
-    pen.roundRect(x, y - 11, wide, 22, 5);
+    pen.roundRect(x, y - 11, width, 22, 5);
     pen.fill();
     pen.globalAlpha = 1;
     pen.fillStyle = colour;
@@ -622,8 +622,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   // A bar of a round length, at the lower left.
   function drawBar() {
-    const wanted = 110 / view.scale, decade = 10 ** Math.floor(Math.log10(wanted));
-    const length = [5, 2, 1].find(step => step * decade <= wanted) * decade, y = view.height - 16;
+    const target = 110 / view.scale, decade = 10 ** Math.floor(Math.log10(target));
+    const length = [5, 2, 1].find(step => step * decade <= target) * decade, y = view.height - 16;
     pen.strokeStyle = pen.fillStyle = palette.ink;
     pen.lineWidth = 2;
     pen.beginPath();
@@ -669,7 +669,7 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   // -- pointers
 
-  const here = event => {
+  const position = event => {
     const box = canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
@@ -681,9 +681,9 @@ function makeRoadView(canvas, history, clock, options = {}) {
     history.cars.forEach((car, k) => {
       const {x, y, time} = car.columns;
       for (let i = trailStart(car, clock.t); i <= places[k].index; i++) {
-        const far = (x[i] - wx) ** 2 + (y[i] - wy) ** 2;
-        if (far < best) {
-          best = far;
+        const distance = (x[i] - wx) ** 2 + (y[i] - wy) ** 2;
+        if (distance < best) {
+          best = distance;
           when = time[i];
         }
       }
@@ -692,15 +692,15 @@ function makeRoadView(canvas, history, clock, options = {}) {
   }
 
   function carAt(px, py) {
-    let found = -1, best = Infinity;
+    let nearest = -1, best = Infinity;
     history.cars.forEach((car, k) => {
       const [x, y] = toScreen(places[k].x, places[k].y), far = Math.hypot(px - x, py - y);
       if (places[k].index >= 0 && far < best && far < Math.max(22, car.outline.front * view.scale)) {
         best = far;
-        found = k;
+        nearest = k;
       }
     });
-    return found;
+    return nearest;
   }
 
   // The drag from the car to the pointer, in the car's axes.
@@ -730,16 +730,16 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   canvas.addEventListener("wheel", event => {
     event.preventDefault();
-    zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 30 : 1)), ...here(event));
+    zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 30 : 1)), ...position(event));
   }, {passive: false});
-  const ours = touch => sketch || options.onpush && carAt(...here(touch)) >= 0;
+  const ours = touch => sketch || options.onpush && carAt(...position(touch)) >= 0;
   for (const kind of ["touchstart", "touchmove"])  // two fingers are ours, and one on a car; one elsewhere may scroll
     canvas.addEventListener(kind, event => {
       if (event.touches.length > 1 || push || ours(event.touches[0])) event.preventDefault();
     }, {passive: false});
 
   canvas.addEventListener("pointerdown", event => {
-    const at = here(event);
+    const at = position(event);
     fingers.set(event.pointerId, at);
     canvas.setPointerCapture(event.pointerId);
     moved = 0;
@@ -749,15 +749,15 @@ function makeRoadView(canvas, history, clock, options = {}) {
   });
 
   canvas.addEventListener("pointermove", event => {
-    const at = here(event);
+    const at = position(event);
     if (!fingers.has(event.pointerId)) return hoverRoad(at);
     const [oldX, oldY] = fingers.get(event.pointerId);
     moved += Math.abs(at[0] - oldX) + Math.abs(at[1] - oldY);
     const other = [...fingers].filter(([id]) => id !== event.pointerId).map(([, place]) => place)[0];
     fingers.set(event.pointerId, at);
     if (other) {
-      const apart = (x, y) => Math.max(Math.hypot(x - other[0], y - other[1]), 1);
-      zoom(apart(...at) / apart(oldX, oldY), (at[0] + other[0]) / 2, (at[1] + other[1]) / 2);
+      const distance = (x, y) => Math.max(Math.hypot(x - other[0], y - other[1]), 1);
+      zoom(distance(...at) / distance(oldX, oldY), (at[0] + other[0]) / 2, (at[1] + other[1]) / 2);
     } else if (sketch) {
       continueStroke(at);
     } else if (push) {
@@ -879,8 +879,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   function describeCar(car, k) {
     const at = name => valueAt(car, name, clock.shown), e = at(car.columns.error ? "error" : "offset");
-    const beside = `${Math.abs(e).toFixed(2)} m to the ${e > 0 ? "left" : "right"} of its line`;
-    const where = Math.abs(e) < 0.005 ? "on its line" : beside;
+    const offsetText = `${Math.abs(e).toFixed(2)} m to the ${e > 0 ? "left" : "right"} of its line`;
+    const where = Math.abs(e) < 0.005 ? "on its line" : offsetText;
     const s = car.columns.station ? ` at station ${Math.round(at("station"))} m` : "";
     const speed = signed(at(car.columns.speed ? "speed" : "vx"), 1);
     return `${car.name} is ${where}${s}, at ${speed} m/s.${places[k].failed ? " It has failed." : ""}`;
@@ -888,8 +888,8 @@ function makeRoadView(canvas, history, clock, options = {}) {
 
   function describe() {
     const part = view.follow ? `The road about ${history.cars[view.chosen]?.name}` : "A part of the road";
-    const what = view.whole ? "The whole road from above" : part;
-    return `${what}, at ${signed(clock.shown, 1)} s. ${history.cars.map(describeCar).join(" ")}`;
+    const subject = view.whole ? "The whole road from above" : part;
+    return `${subject}, at ${signed(clock.shown, 1)} s. ${history.cars.map(describeCar).join(" ")}`;
   }
 
   // -- start

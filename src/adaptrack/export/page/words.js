@@ -20,12 +20,12 @@ function wordsOfPage() {
 }
 
 function wordsOfCar(car, i, t) {
-  const who = nameOfCarAt(i) + (page.setup.controllers.length > 1 ? `, ${nameOfCar(i)},` : "");
+  const carName = nameOfCarAt(i) + (page.setup.controllers.length > 1 ? `, ${nameOfCar(i)},` : "");
   if (hasFailed(car, t)) return failureSentence(car, i);
   const at = (name, step) => valueAt(car, name, t, step), whole = errorBetween(car, 0, t), last = errorBetween(car, t - WINDOW, t);
   const error = at(car.columns.error ? "error" : "offset"), wheels = degrees(at("wheel_angle"));
   const parts = [
-    `${who} is ${sideOf(error)} at ${at("vx").toFixed(1)} m/s, its wheels ${Math.abs(wheels) < 0.05 ? "straight" : `${Math.abs(wheels).toFixed(1)}° to the ${leftRight(wheels)}`}.`,
+    `${carName} is ${sideOf(error)} at ${at("vx").toFixed(1)} m/s, its wheels ${Math.abs(wheels) < 0.05 ? "straight" : `${Math.abs(wheels).toFixed(1)}° to the ${leftRight(wheels)}`}.`,
     `Its RMS error is ${lengthText(last.rms)} over the last ${WINDOW} s and ${lengthText(whole.rms)} over all.`,
   ];
   if (car.columns.belief_lag) parts.push(

@@ -84,9 +84,9 @@ function words() {
 }
 
 function say() {
-  const said = words();
-  for (const name in said) write(part(name), said[name]);
-  part("t").classList.toggle("failed", said.t.endsWith("failed"));
+  const text = words();
+  for (const name in text) write(part(name), text[name]);
+  part("t").classList.toggle("failed", text.t.endsWith("failed"));
 }
 
 transport.words = () => {
@@ -97,8 +97,8 @@ part("aloud").onclick = () => { part("spoken").textContent = `${view.describe()}
 
 // index.html#t=12.5 opens at 12.5 s.
 function seekLink() {
-  const found = /^#t=([\d.]+)$/.exec(location.hash);
-  if (found) clock.seek(found[1]);
+  const match = /^#t=([\d.]+)$/.exec(location.hash);
+  if (match) clock.seek(match[1]);
 }
 
 clock.paint(say);
