@@ -62,7 +62,7 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What `certify` found, at n points: all values of the other inputs for each pair of speed and friction in turn."""
+    """Stability and margins of a scheduler's loop at n operating points of speed, friction and further inputs."""
 
     scheduler: str
     plant: str
@@ -72,7 +72,7 @@ class Certificate:
     """of the prediction"""
     estimator: str
     speeds: Array
-    """m/s"""
+    """Speeds of the grid (m/s), shape (v,)."""
     frictions: Array
     points: Array
     """(n, entries of `SchedulingVariables`)"""
@@ -85,11 +85,11 @@ class Certificate:
     period: float = math.nan
     """s, of the controller"""
     belief: str = ""
-    """what the controller believes of the steering, and from whom; empty where model or estimator were given"""
+    """Steering model of the controller and its source; empty where a model or an estimator was passed."""
 
     @property
     def counted(self) -> Sweep:
-        """What drives: with the guard where there is one."""
+        """The sweep of the scheduler that is certified, including its guard if it has one."""
         return self.bare if self.guarded is None else self.guarded
 
     @property
@@ -111,7 +111,7 @@ class Certificate:
         )
 
     def _mismatches_in_words(self) -> str:
-        """What mismatches do, as a sentence; empty where none were given."""
+        """Return the mismatches that make the loop unstable as a sentence; empty without mismatches."""
         if not self.mismatched:
             return ""
         unstable_counts = {
@@ -316,7 +316,7 @@ def _axes(
 def _range(
     name: str, domain: Mapping[str, tuple[float, float]], scheduler_domain: Mapping[str, list[float]]
 ) -> tuple[float, float]:
-    """What `domain` says; else where driving and the schedule's own domain overlap, its own where they do not."""
+    """Return the range of an input: from `domain`, else where driving and schedule overlap, else the schedule's."""
     if name in domain:
         low, high = (real("certify", f"domain: {name}", bound) for bound in domain[name])
         return low, high

@@ -36,7 +36,7 @@ class FeasibleRanges(NamedTuple):
     """A range of speeds and one of frictions."""
 
     speed: tuple[float, float]
-    """m/s"""
+    """Lowest and highest speed (m/s)."""
     friction: tuple[float, float]
 
     def __str__(self) -> str:
@@ -48,7 +48,7 @@ class Feasibility:
     """The loops of n tunings at a grid of speeds and frictions."""
 
     speeds: Array
-    """m/s"""
+    """Speeds of the grid (m/s), shape (v,)."""
     frictions: Array
     tunings: Array
     """(n, 4) Np, Nc, Q, R"""
@@ -120,7 +120,7 @@ class Feasibility:
 
     @property
     def verdict(self) -> str:
-        """What can be held, in some sentences: the speeds and frictions that no tuning can, and the largest domains."""
+        """Summarise the speeds and frictions that no tuning can hold, and the largest domains."""
         demand = f"with a modulus margin of {self.least:g}"
         if self.domain is None:
             return f"Infeasible: no tuning holds the loop {demand} at any point of {self.whole}."

@@ -150,7 +150,7 @@ class Steady(NamedTuple):
     """A steady turn of a plant, or driving straight."""
 
     speed: float
-    """m/s"""
+    """Speed (m/s)."""
     friction: float
     deceleration: float
     """m/s^2, of a moment of braking"""
@@ -215,7 +215,7 @@ class Sampled(NamedTuple):
     a: Array
     """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, commands not yet applied"""
     b: Array
-    """(m,)"""
+    """Input column of the steering angle, shape (m,)."""
     c: Array
     """(sensors, m), by `sensed`; the wheel angle's row is zero where the steering has no lag"""
 
@@ -372,7 +372,7 @@ def _held(flow: Array, period: float, delay: float) -> Array:
 
 
 def sensed() -> tuple[str, ...]:
-    """What a controller is given at an instant, by name, see `core.models.contract.MEASURED`."""
+    """Return the signals of a controller at one instant by name, see `core.models.contract.MEASURED`."""
     return tuple(name for name in contract.MEASURED._fields if name != "turned")  # it is known, not measured
 
 
@@ -389,7 +389,7 @@ LinearPlant = Callable[[float, float], Sampled]
 def linear_plants(
     plant: Plant, period: float, profile: str | Profile, turn: Turn | None, mismatches: Sequence[Mismatch] = ()
 ) -> list[LinearPlant]:
-    """What drives: straight; in a turn, if there is one; straight with each mismatch. period: s."""
+    """Linear plants: driving straight, in a turn if one is requested, and straight with each mismatch. period: s."""
 
     def steady(speed: float, friction: float, acceleration: float = 0.0) -> Sampled:
         return sampled(plant, period, speed, friction=friction, profile=profile, lateral_acceleration=acceleration)
@@ -416,13 +416,13 @@ class LinearEstimator(NamedTuple):
     e: Array
     """(q, sensors)"""
     f: Array
-    """(q,)"""
+    """Input column of the command, shape (q,)."""
     c: Array
     """(n + 1, q)"""
     d: Array
     """(n + 1, sensors)"""
     h: Array
-    """(q,)"""
+    """Output row of the state memory, shape (q,)."""
 
 
 def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
@@ -548,7 +548,7 @@ def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int
 
 
 def _that_matter(moves: Array, places: list[int], memory: int) -> list[int]:
-    """Of the places in memory, those that have a say in xi, now or later; moves: row by row what each one does."""
+    """Return the places in memory that influence xi now or later; moves: effect of each place, row by row."""
     matters = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
     for _ in places:
         acting = [place for place, says in zip(places, matters, strict=True) if says]

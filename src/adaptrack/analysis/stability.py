@@ -110,7 +110,7 @@ class Margins:
     gain_up: Array
     """factor > 1 on the commands at which the loop becomes unstable, inf when none does"""
     gain_down: Array
-    """likewise < 1, 0 when none does"""
+    """Largest gain factor below 1 that makes the loop unstable; 0 if there is none."""
     delay: Array
     """s, additional delay of the commands at which it becomes unstable"""
     modulus_margin: Array
@@ -227,7 +227,7 @@ def hard_turn(speed: float, friction: float) -> float:
 
 
 def linear_twin(plant: Plant | SteppedPlant, car: Vehicle, domain: Domain) -> Plant:
-    """What stands for a plant in linear analysis: the plant itself, where it has a linear model in the domain.
+    """Return the plant's stand-in for linear analysis: the plant itself where it has a linear model in the domain.
 
     Else the car's twin (`plant.twin_of`): of a plant that is stepped in Python, or whose derivatives jump. What the
     twin leaves out is not in the analysis.

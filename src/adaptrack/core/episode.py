@@ -44,7 +44,7 @@ cost of a step (m^2/rad^2), and what each instant costs that a failed run does n
 
 @inlined
 def _span_of(slot, episodes):
-    """What a slot drives."""
+    """Return the span of a slot's drive."""
     return Span(episodes.own[slot].last, 1, 0, 0.0)
 
 

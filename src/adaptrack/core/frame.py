@@ -97,7 +97,7 @@ def _write_path(k, slot, run, points):
 
 @inlined
 def _write_plan(k, slot, run, points, moves):
-    """What an MPC has planned; NaN where there is no plan of this instant."""
+    """Write the planned moves of an MPC; NaN where there is no plan at this instant."""
     if run.features.law or run.mpc.answer[slot, mpc.ANSWER.held] > 0.5:
         points[:], moves[:] = math.nan, math.nan
         return

@@ -129,7 +129,7 @@ def _wind(q, speed):
 
 @inlined
 def _turning(q):
-    """Of the wind, as `moment`."""
+    """Second moments of the wind's turning moment, as in `moment`."""
     return q.moment + q.side * q.lever
 
 

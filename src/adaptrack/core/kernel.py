@@ -105,7 +105,7 @@ class Signature:
 
     @cached_property
     def types(self) -> tuple[Any, ...]:
-        """Of the arguments; a record in a signature is handed over whole, in C by a pointer."""
+        """Types of the arguments; a record is passed whole, in C by a pointer."""
         return tuple(Place(kind) if hasattr(kind, "kinds") else kind for kind in self.arguments)
 
     @property
@@ -377,7 +377,7 @@ def _known(kind: str, function: Any, of: Any = None, interpreted: Any = None) ->
 
 
 def address_of(function: Any) -> Any:
-    """What a kernel takes for an exported one: its address, 0 for None; in plain Python itself."""
+    """Return the address of an exported kernel, 0 for None; in plain Python the kernel itself."""
     return function if INTERPRETED else (0 if function is None else Address(function))
 
 

@@ -50,7 +50,7 @@ def source_hashes() -> dict[str, str]:
 
 @cache
 def kernels_hash() -> str:
-    """What the numbers of all kernels depend on, their sources and the builder's, as 16 hexadecimal digits."""
+    """Hash of all inputs of the kernels (their sources and the builder's) as 16 hexadecimal digits."""
     digest = hashlib.sha256(json.dumps(source_hashes(), sort_keys=True).encode()).hexdigest()[:16]
     return f"{digest} (interpreted)" if WAY == "interpreted" else digest
 
@@ -79,7 +79,7 @@ def compiler() -> Any:
 
 
 def manifest(folder: Path | None = None) -> dict[str, Any]:
-    """What was built: of each processor the file and its hash; the sources and their hashes; those of each kernel.
+    """Return the record of the build: files and their hashes by processor, sources and their hashes by kernel.
 
     folder: also of an archive that `make targets` packs. Raises OSError where there is none, ValueError where it is
     damaged.

@@ -150,7 +150,7 @@ def judge(slot, run):
 # -- the controller's side --------------------------------------------------------------------------------------------
 @inlined
 def _noisy(value, noise, k, sensor, seed):
-    """What a sensor gives: the value and its noise; NaN where there is no sensor."""
+    """Return a sensor's reading: the value and its noise; NaN where there is no sensor."""
     if noise > 0.0:
         return value + noise * counted_normal(seed, k, sensor) if noise < math.inf else math.nan
     return value
@@ -175,7 +175,7 @@ def _keep_past(past, measured):
 
 @inlined
 def _recall(sensor, instants, past):
-    """What there was to measure so many control instants ago, a straight line between two of them."""
+    """Interpolate the measurable signals so many control instants ago."""
     first = whole(instants)
     near = past[first, sensor]
     return near + (instants - first) * (past[first + 1, sensor] - near)
@@ -301,7 +301,7 @@ def _drive(k, speed, signals, scenario, settings, drive):
 
 @inlined
 def _catch_up(speed, late):
-    """What a car adds to its planned speed (m/s) that is so much (m) late."""
+    """Return the speed (m/s) that a car adds to its plan when it is late by a distance (m)."""
     beyond = late - clip(late, -TOLERATED, TOLERATED)
     return clip(beyond / CATCH_UP, -MOST_CATCH_UP * speed, MOST_CATCH_UP * speed)
 

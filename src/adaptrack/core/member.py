@@ -105,7 +105,7 @@ def on_a_record(function: Any, viewed: Any) -> Any:
 
 
 def _called_back(member: Member) -> Any:
-    """What C calls in place of a function in Python. Nothing that it raises can pass through the kernels."""
+    """Return the function that C calls in place of a Python function; exceptions cannot pass through the kernels."""
     function = member.function if member.viewed is None else on_a_record(member.function, member.viewed)
     kinds = member.signature.types
     last = max(i for i, kind in enumerate(kinds) if isinstance(kind, Array))

@@ -10,7 +10,7 @@ from .road import COUNT, LENGTH, NUMBERS
 
 @exported(several(int64, int64, int64, int64)(vector))
 def path_parts(memory):
-    """Of a path in the memory of `path.path_through`: its pieces, and where they, their starts and the headings begin.
+    """Return the parts of a path in the memory of `path.path_through`: pieces, places, starts and headings.
 
     There is one start more than pieces; the headings go on to the end of a part of `heading_count`.
     """

@@ -78,7 +78,7 @@ def schedule_sizes(slots, integers, numbers, scratch, table, row):
 
 
 def no_schedule() -> Any:
-    """What a run without a scheduler is given."""
+    """Return the empty schedule of a run without a scheduler."""
     return room(Schedule, schedule_sizes, 0, 0, 0, 0)
 
 

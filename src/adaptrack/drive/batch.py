@@ -36,14 +36,14 @@ BatchPlant = Annotated[Plant, Hint("simulate(...) drives a stepped one")]
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """What `rollout_batch` measured, an entry per run; arrays of shape (runs,)."""
+    """Measures of `rollout_batch`, one entry per run; arrays of shape (runs,)."""
 
     mse: Array
     """m^2, mean over the control instants of (Y - y_ref)^2; inf when the run has failed"""
     mean_squared_move: Array
     """rad^2, mean of the squared changes of the command"""
     max_abs_error: Array
-    """m"""
+    """Largest |error| (m)."""
     failed: NDArray[np.object_]
     """why a run failed (`failure.Reason`), None where it did not"""
     failed_at: Array
@@ -61,7 +61,7 @@ class BatchResult:
     qp_iterations: NDArray[np.int64]
     """of the QP solver, in all steps"""
     scheduler: dict[str, NDArray[np.int64]]
-    """what the scheduler counted, by name, see `core.guard.COUNTS`; empty without one"""
+    """Counters of the scheduler by name, see `core.guard.COUNTS`; empty without one."""
 
     def cost(self, move_weight: float = 0.0) -> Array:
         """J = mean e^2 + move_weight * mean (change of command)^2, the cost that tuning minimises; inf when failed."""
@@ -126,14 +126,14 @@ def rollout_batch(
 
 @dataclass(frozen=True, eq=False)
 class BatchRuns:
-    """What `Batch.run` gives."""
+    """Results of `Batch.run`."""
 
     result: Any
     """(runs,) `core.period.RESULT`"""
     trace: Any
     """`core.period.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless requested"""
     counts: dict[str, NDArray[np.int64]]
-    """what the scheduler counted, (runs,) by name; empty without one"""
+    """Counters of the scheduler, (runs,) by name; empty without one."""
     segments: Array
     """(runs, segments) cost of each segment: sum of squared error plus weight times squared move; inf where a run ended
     early, NaN after that and beyond the end of a shorter run; (runs, 0) unless requested"""
@@ -196,7 +196,7 @@ def called_back(plant: Any, controller: Controller) -> list[str]:
 
 
 class Batch:
-    """What all runs of a batch share, packed for the kernels; arguments as for `rollout_batch`."""
+    """Packed inputs that all runs of a batch share; arguments as for `rollout_batch`."""
 
     def __init__(
         self,
@@ -411,7 +411,7 @@ def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What the runs of `Batch.run` differ in."""
+    """Inputs in which the runs of `Batch.run` differ."""
 
     which: NDArray[np.int64]
     tunings: Array

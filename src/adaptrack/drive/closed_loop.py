@@ -86,7 +86,7 @@ class _SteppedVehicle:
 
 @dataclass(frozen=True, slots=True)
 class Sensed:
-    """What is known at a control instant."""
+    """Signals at a control instant."""
 
     measured: Array
     """`core.models.contract.MEASURED`; the same array at every instant"""

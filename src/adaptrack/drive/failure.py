@@ -32,7 +32,7 @@ class Reason(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """What happened, in a sentence."""
+        """The failure in a sentence."""
         return {
             Reason.OFF_ROAD: "The vehicle left the road, or never came to its reference.",
             Reason.SPUN: "The vehicle spun: it slid more sideways than a driver can catch.",

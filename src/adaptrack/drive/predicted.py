@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class PredictedPaths:
-    """What `simulate` is given to record into: a path every so many seconds, a few points of each.
+    """Recorder of predicted paths for `simulate`: one path every so many seconds, a few points of each.
 
     every: s, between two paths; points: of a path, evenly over the horizon, its end among them. Controllers that
     predict no path, and instants without a solution, leave nothing.

@@ -43,7 +43,7 @@ DriveArgument = Annotated[
 
 
 class _Recorder:
-    """What one run leaves: a row for each control instant; state and noted as in `core.period.Trace`."""
+    """Record of one run: a row for each control instant; state and noted signals as in `core.period.Trace`."""
 
     def __init__(self, n: int, controller: Controller, state: Array, noted: Array) -> None:
         self.state, self.noted = state, noted
@@ -217,7 +217,7 @@ def _named(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_])
 
 
 def _learned(world: World, controller: Controller) -> dict[str, Any]:
-    """What a controller that learns was there to learn (`Learner.truth`)."""
+    """True values of the quantities that a learning controller estimates (`Learner.truth`)."""
     learner, steering = controller.learner, world.steering
     if learner is None:
         return {}
@@ -286,6 +286,6 @@ def _trajectory(
 
 
 def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
-    """What a record says of the car's own failure distance (m), where it is not the usual one."""
+    """Return the car's own failure distance (m) for the record, if it differs from the default."""
     plant_limit = Failure.of(plant).distance
     return {} if plant_limit == DISTANCE else {"failure_distance": plant_limit}

@@ -96,7 +96,7 @@ _NAMED = ("tuning", "diagnostics", "road")
 @checked
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What happened at each of n control instants t = k Ts, k = 0..n-1, of one run.
+    """Signals at the n control instants t = k Ts, k = 0..n-1, of one run.
 
     ISO 8855: x forward, y left, yaw and steering positive to the left. Arrays are read-only views, float64 unless
     said otherwise. A run that failed may hold NaN from some step on.
@@ -346,7 +346,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Origin:
-    """What was driven where, by what: a name each, or a table with a ``name`` and the parameters in use."""
+    """Scenario, plant and controller of a run: a name each, or a table with ``name`` and the parameters in use."""
 
     scenario: Any
     plant: Any
@@ -362,7 +362,7 @@ class Origin:
 
 
 def provenance(origin: Origin, created: str | datetime, **entries: Any) -> dict[str, Any]:
-    """What a result has to name, as the `meta` of a `Trajectory`: its origin, and with which software it was made.
+    """Return the provenance of a result for the `meta` of a `Trajectory`: its origin and the software versions.
 
     `created` is the caller's clock, so that nothing here depends on the time of day. `more` adds entries (``moves``,
     ``qp_solver``, ``command``, ...).

@@ -43,7 +43,7 @@ LARGEST_NUMBER = 2**31
 
 
 class Role(IntEnum):
-    """What becomes of an array when other constants are laid under a running controller, and when its state is saved.
+    """Treatment of an array when constants are replaced under a running controller and when its state is saved.
 
     The order is that of the memory.
     """
@@ -341,7 +341,7 @@ class _Laid:
 
 
 def _order(stretch: tuple[Role, list[_Part]]) -> int:
-    """Of the record: where arrays lie in a process differs from one to the next."""
+    """Order the parts independently of their addresses, which differ between processes."""
     return min(part.word for part in stretch[1])
 
 

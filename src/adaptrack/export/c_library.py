@@ -44,12 +44,12 @@ MOST_POINTS = 100_000
 
 @dataclass(frozen=True)
 class Exported:
-    """What `export_c` wrote."""
+    """Files and sizes of an export to C."""
 
     folder: Path
     targets: tuple[str, ...]
     constants_size: int
-    """bytes"""
+    """Size of the constants (bytes)."""
     memory_size: int
     """bytes of a tracker"""
     state_size: int

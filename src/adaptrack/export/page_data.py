@@ -96,7 +96,7 @@ def _sizes() -> dict[str, int]:
 
 
 def _comfort() -> dict[str, float]:
-    """What bounds a plan beside road and car (`core.planning.speed.Bounds`)."""
+    """Bounds of a speed plan besides road and car (`core.planning.speed.Bounds`)."""
     defaults = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
     return {**Comfort().model_dump(), **defaults}
 
@@ -106,7 +106,7 @@ def _straight() -> Road:
 
 
 def _along(road: Road) -> dict[str, float]:
-    """What lies along a level road of one width, speed limit and friction."""
+    """Signals along a level road of one width, speed limit and friction."""
     names = ("width_left", "width_right", "friction")
     limit = math.inf if road.speed_limit is None else float(road.speed_limit.value[0])
     return {**{key: float(getattr(road, key).value[0]) for key in names}, "speed_limit": limit}
@@ -160,7 +160,7 @@ def _test(name: str) -> dict[str, Any]:
 
 
 def _words() -> dict[str, Any]:
-    """What kernels answer, in words; by number."""
+    """Messages for the status codes of kernels, by number."""
     return {
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",

@@ -43,7 +43,7 @@ LARGEST = 3_000_000
 
 @dataclass(frozen=True)
 class PageParts:
-    """What a page is made of."""
+    """Parts of the page: markup, style, scripts, kernels and data."""
 
     html: str
     css: str
@@ -54,7 +54,7 @@ class PageParts:
     kernels: bytes
     """module of WebAssembly"""
     data: dict[str, Any]
-    """what Python writes into the page"""
+    """Data that Python writes into the page."""
 
 
 MOST_CONTROLLERS = 2

@@ -52,7 +52,7 @@ _ROWS = {("tyre", "kind"): "linear", ("tyre", "shape"): "shape_factor"}
 
 
 def car_fields() -> dict[str, Any]:
-    """What a car file may hold, plain data for JSON.
+    """Return the fields of a car file as plain data for JSON.
 
     ``sections``: by name, of the car's own numbers ``""``, a list of tables: ``key``; ``kind``: number, text, texts,
     choice, range (two numbers that rise); ``row``: its name in the row of a kernel; ``words``: of a choice, whose

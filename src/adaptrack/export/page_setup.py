@@ -94,7 +94,7 @@ def road_of(setup: Mapping[str, Any]) -> Road:
 
 
 def drive_of(setup: Mapping[str, Any], car: Vehicle) -> RoadDrive | Scenario:
-    """What is driven: a road at a speed, or one of the paper's tests; friction and wind as they truly are."""
+    """Return the drive of a page's setup: a road at a speed or a test of the paper, with true friction and wind."""
     truth, road_setup = setup.get("truth") or {}, setup["road"]
     friction, wind = truth.get("friction"), truth.get("wind")
     if "test" in road_setup:

@@ -158,7 +158,7 @@ def _with_learned(controller: MPC, settings: Any) -> Any:
 
 
 class Twin:
-    """The same calls as an exported controller's, by the same kernels in this process; for the checks of an export."""
+    """The calls of an exported controller, made by the same kernels in this process; used to verify exports."""
 
     def __init__(
         self, controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0
@@ -169,7 +169,7 @@ class Twin:
         self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
 
     def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """What a call gives, a row of `core.tracker.records.TRACKED`; sample: the first entries of one of `SAMPLE`."""
+        """Return one call's result, a row of `core.tracker.records.TRACKED`; sample: first entries of a `SAMPLE` row."""
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample
         self._run()

@@ -48,7 +48,7 @@ class Driven:
         return cost
 
     def _arrive(self) -> Sensed:
-        """What is sensed at the next instant; of a car whose state is not finite, what was before."""
+        """Sense the next instant; a car whose state is not finite keeps its previous signals."""
         loop = self.loop
         sensed = loop.sense()
         self.terminated = loop.ended
@@ -59,7 +59,7 @@ class Driven:
 
     @property
     def info(self) -> dict[str, Any]:
-        """What ``step`` says beside observation and reward."""
+        """Return the ``info`` of ``step``."""
         if not self.over:
             return {}
         reason = self.loop.failure()[0]

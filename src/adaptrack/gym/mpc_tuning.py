@@ -127,7 +127,7 @@ class MPCTuningEnv(gymnasium.Env):
 
     @property
     def _belief_info(self) -> dict[str, Any]:
-        """What ``info`` says of what has been learned."""
+        """Return the learned quantities for ``info``."""
         return {} if self._mpc.learner is None else {STATE: int(self._belief[BELIEFS.index(STATE)])}
 
     def _observe(self, drive: Driven) -> Array:

@@ -59,7 +59,7 @@ def checked_distances(distances: Sequence[float]) -> Array:
 
 
 def observation_box(distances: Array) -> spaces.Box:
-    """What an agent that steers observes."""
+    """Observation space of a steering agent."""
     count = len(distances)
     return box([*OBSERVED_WITHIN.values(), *[AHEAD_WITHIN] * count, *[CURVATURE_WITHIN] * count])
 
@@ -153,7 +153,7 @@ def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
 
 
 def first_belief(mpc: MPC) -> tuple[float, ...]:
-    """What an MPC believes before its first step, behind the scheduling variables in an observation."""
+    """Initial belief of an MPC, which follows the scheduling variables in an observation."""
     if mpc.learner is not None:
         return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEFS)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

@@ -30,7 +30,7 @@ CHOICES = ("noise_seed", "car_seed", "road")
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What is driven once."""
+    """Road, car, profile and seeds of one drive."""
 
     vehicle: Vehicle
     plant: Plant | SteppedPlant
@@ -44,7 +44,7 @@ class Episode:
 
     @property
     def info(self) -> dict[str, Any]:
-        """What ``reset`` says of it."""
+        """Return the ``info`` of ``reset``."""
         drawn = {} if self.car_seed is None else {"car_seed": self.car_seed}
         return {"car": self.vehicle.name, "road": self.drive.name, "noise_seed": self.noise_seed, **drawn}
 
@@ -110,7 +110,7 @@ class Task:
 
     @property
     def roads(self) -> tuple[str | Scenario | RoadDrive, ...]:
-        """What ``road`` names."""
+        """Roads named by ``road``."""
         return tuple(self.road)  # type: ignore[arg-type]
 
     @property

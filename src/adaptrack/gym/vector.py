@@ -63,9 +63,9 @@ class Block(NamedTuple):
     slots: slice
     batch: Batch
     episodes: Any
-    """`core.episode.Episodes`"""
+    """Packed episodes, a record `core.episode.Episodes`."""
     resident: Any
-    """the same in memory, `core.kernel.Resident`"""
+    """The episodes resident in memory, `core.kernel.Resident`."""
 
 
 class _VectorEnv(VectorEnv):
@@ -115,7 +115,7 @@ class _VectorEnv(VectorEnv):
 
     @abstractmethod
     def _controller(self, episode: Episode) -> Controller:
-        """What the batch of an episode's car is made for."""
+        """Return the controller of the batch for an episode's car."""
 
     @abstractmethod
     def _take(self, actions: Array) -> None:
@@ -168,7 +168,7 @@ class _VectorEnv(VectorEnv):
 
     @property
     def _belief_info(self) -> dict[str, Any]:
-        """What ``infos`` say of what each car's controller has learned."""
+        """Return the learned quantities of each car's controller for ``infos``."""
         if STATE not in self.names:
             return {}
         states = self._observed[:, self.names.index(STATE)].astype(np.int64)
@@ -257,7 +257,7 @@ class _VectorEnv(VectorEnv):
     """Columns of an observation that are written at every step; those behind stay as they are."""
 
     def _constant(self, batch: Batch) -> tuple[float, ...]:
-        """What is in the columns behind."""
+        """Constant columns at the end of an observation."""
         return ()
 
 

@@ -46,7 +46,7 @@ class Workspace:
         self.scratch = kernels.Scratch(aligned(work), aligned(rows), aligned((index,), np.int64))
 
     def solve_exactly(self, qp: QP, warm_start: Solution | None = None, max_iterations: int | None = None) -> Attempt:
-        """What the exact method finds for ``qp``, from the active rows of an earlier solution if there is one.
+        """Solve ``qp`` by the exact method, starting from the active rows of an earlier solution if there is one.
 
         max_iterations: changes of the active set at most, by default `CHANGES` (n + m).
         """

@@ -34,7 +34,7 @@ class QPStatus(IntEnum):
 
     @property
     def sentence(self) -> str:
-        """What happened, and what to do about it."""
+        """The outcome and its remedy as a sentence."""
         return _SENTENCES[self]
 
 
@@ -108,7 +108,7 @@ class QP:
 
     @classmethod
     def unchecked(cls, E: Array, K: Array, M: Array, gamma: Array) -> QP:
-        """The same without copies and checks: for callers who answer for their arrays themselves."""
+        """Build the problem without copies and checks; the caller guarantees the arrays."""
         qp = object.__new__(cls)
         for name, array in (("E", E), ("K", K), ("M", M), ("gamma", gamma)):
             object.__setattr__(qp, name, array)
@@ -184,7 +184,7 @@ def kkt_residuals(qp: QP, x: npt.ArrayLike, lam: npt.ArrayLike) -> Residuals:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a solver answers.
+    """The minimiser that a solver returns, with multipliers and status.
 
     ``x`` (n,), the moves in rad; NaN when there is nothing to apply. ``lam`` (m,), the rows' multipliers, >= 0.
     ``residuals`` as `kkt_residuals` defines them; ``iterations`` in the solver's own unit; ``message``: a sentence.
@@ -214,7 +214,7 @@ class Solution:
 
 
 class Attempt(NamedTuple):
-    """What a method found by itself."""
+    """The raw result of one method, before it is tested and polished."""
 
     status: QPStatus
     x: Array | None = None

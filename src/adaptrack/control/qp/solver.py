@@ -55,7 +55,7 @@ class QPSolver(ABC):
 
     @abstractmethod
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
-        """What the method itself finds for ``qp``; the status says how it ended."""
+        """Run the method on ``qp``; the status says how it ended."""
 
     def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
         """The minimiser of ``qp``, or a status that says why there is none."""
@@ -65,7 +65,7 @@ class QPSolver(ABC):
         return self._solution(qp, attempt, self.name)
 
     def _tested(self, qp: QP, attempt: Attempt) -> Attempt:
-        """What was found; CAPPED where `ACCEPTED` or `NEAR` contradict "solved"."""
+        """Return the attempt; its status is CAPPED where `ACCEPTED` or `NEAR` contradict "solved"."""
         if attempt.status is not QPStatus.SOLVED or attempt.certified:
             return attempt
         if (
@@ -85,7 +85,7 @@ class QPSolver(ABC):
         return attempt._replace(status=QPStatus.CAPPED, message=message)
 
     def _finished(self, qp: QP, attempt: Attempt) -> Solution:
-        """What the exact method makes of the problem."""
+        """Polish the attempt by the exact method."""
         self._exact = self._exact or Workspace()
         self.finishes += 1
         exact = self._exact.solve_exactly(qp)

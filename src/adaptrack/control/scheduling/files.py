@@ -22,7 +22,7 @@ _DATA = SHIPPED / "schedulers"
 
 @checked
 def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
-    """`Schedule.save`."""
+    """Write a schedule to a file; see `Schedule.save`."""
     schedule.save(path)
 
 
@@ -57,7 +57,7 @@ def list_schedulers() -> list[str]:
 
 
 def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
-    """What a schedule is made for, to stand in its file: car, profile, controller, and the kernels' version."""
+    """Return the scope of a schedule for its file: car, profile, controller and kernel version."""
     described = mpc.describe()
     return {
         "car": car_of(mpc.model) or mpc.model.name,

@@ -43,7 +43,7 @@ class StabilityMap:
 @checked
 @dataclass(frozen=True, eq=False)
 class Guard:
-    """What stands between a scheduler's output and the MPC.
+    """Supervision of a scheduler's output before it reaches the MPC.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class Guard:
             self.stability.pack(row, pool)
 
     def saved(self) -> dict[str, Any]:
-        """What `loaded` reads back to the bit: text, numbers and lists."""
+        """Return the content of the guard's file (text, numbers, lists), which `loaded` reads back to the bit."""
         stability = self.stability
         return {
             "fallback": self.fallback.as_array().tolist(),

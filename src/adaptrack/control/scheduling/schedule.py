@@ -153,7 +153,7 @@ class Schedule:
 
     @property
     def of_mpc(self) -> bool:
-        """Whether it tunes the MPC: its rules for horizons and weights hold then."""
+        """True if the schedule tunes the MPC, whose rules for horizons and weights then hold."""
         return self.entries == ENTRIES
 
     @property
@@ -301,7 +301,7 @@ def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
 
 @checked
 def Constant(tuning: Tuning, name: str = "constant") -> Schedule:
-    """The same tuning everywhere."""
+    """Make a schedule that returns one tuning everywhere."""
     values = dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
     entries = {entry: Entry(Number(value), value, value) for entry, value in values.items()}
     return Schedule(("speed",), np.array([[0.0, 1000.0]]), entries, name=name)

@@ -58,7 +58,7 @@ def header(kernels: Iterable[Exported]) -> str:
 # -- what the sources say ---------------------------------------------------------------------------------------------
 @cache
 def remarks(module: str) -> dict[str, tuple[str, dict[str, str]]]:
-    """Of each ``NAME = record(...)`` and ``NAME = columns(...)`` of a file: what is said of it and of its fields."""
+    """Return the remarks of a file on each ``NAME = record(...)`` and ``NAME = columns(...)`` and on its fields."""
     source = inspect.getsource(import_module(module))
     comments = {
         token.start[0]: token.string.lstrip("# ")
@@ -83,7 +83,7 @@ def remarks(module: str) -> dict[str, tuple[str, dict[str, str]]]:
 
 
 def _fields(texts: list[Any], comments: dict[int, str]) -> dict[str, str]:
-    """What the comment of its line says of each field; as many units as fields of a line are shared out."""
+    """Return the comment of each field; a line's units are shared out among as many fields."""
     remarks_by_field = {}
     for text in texts:
         line = [constant.value for constant in texts if constant.lineno == text.lineno]

@@ -212,7 +212,7 @@ def _listed(section: str) -> dict[str, dict[str, str]]:
 
 
 def _built(section: str = "libraries") -> dict[str, dict[str, str]]:
-    """What is there of these sources, whole, by the names of the targets."""
+    """Return the complete files built from these sources, by target."""
     current = {}
     with suppress(*library.UNUSABLE):
         if library.manifest()["sources"] == library.source_hashes():

@@ -43,9 +43,7 @@ _environments: dict[str, Any] = {}
 
 
 class _Part(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """What one function has become. Numba links and optimises what it calls into it, and so into each that calls it:
-    here that is done once, where a C function is made.
-    """
+    """The compiled form of one function, kept apart so that Numba does not link it into each of its callers."""
 
     def finalize(self) -> None:
         self.__class__, self._finalized = _Part, True
@@ -218,7 +216,7 @@ def _codegen() -> Any:
 
 
 def compiled(kernel: Any) -> Any:
-    """What numba has made of an exported kernel."""
+    """Numba's compilation result of an exported kernel."""
     (result,) = _dispatcher(kernel).overloads.values()
     return result
 
@@ -252,7 +250,7 @@ def c_module(kernel: Any, name: str) -> Any:
 
 
 def _answer(context, builder, signature, return_type, status, returned, values):
-    """What a member answers: its number, or 0 for none; after an error NaN, in the array it was to write last too."""
+    """Emit the result of a member: its number, 0 for none; after an error NaN, also in its output array."""
     place = next(i for i in reversed(range(len(values))) if isinstance(signature.args[i], types.Array))
     last = context.make_array(signature.args[place])(context, builder, values[place])
     not_a_number = ir.Constant(ir.DoubleType(), float("nan"))

@@ -170,7 +170,7 @@ def array(context, builder, kind, data, sizes):
 
 # -- C ----------------------------------------------------------------------------------------------------------------
 def c_types(kind: Any) -> list[Any]:
-    """What an argument is in C."""
+    """Return the C types of an argument."""
     if isinstance(kind, Number):
         return [ir.DoubleType() if kind.name == "float64" else WORD]
     pointer = ir.IntType(8).as_pointer()
@@ -190,7 +190,7 @@ def from_c(context, builder, kind: Any, numba_kind, words):
 
 
 def to_c(context, builder, kind: Any, numba_kind, value):
-    """What C is given for numba's value of type `given`: the inverse of `from_c`."""
+    """Convert numba's value of type `numba_kind` to C words: the inverse of `from_c`."""
     if isinstance(kind, Number):
         return [builder.zext(value, WORD) if kind.name == "boolean" else value]
     pointer = ir.IntType(8).as_pointer()

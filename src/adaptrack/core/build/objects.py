@@ -94,7 +94,7 @@ def _of_mach_o(content: bytes) -> set[str]:
 
 
 class Reader:
-    """What a file of WebAssembly is made of, one after the other."""
+    """Reader of the parts of a WebAssembly file in their order."""
 
     def __init__(self, content: bytes, at: int = 0) -> None:
         self.content, self.at = content, at
@@ -113,7 +113,7 @@ class Reader:
                 return value
 
     def signed(self) -> int:
-        """Likewise, with a sign."""
+        """Read a signed LEB128 number."""
         begin = self.at
         value = self.number()
         bits = 7 * (self.at - begin)

@@ -202,7 +202,7 @@ def spread(typingctx, array, *index):
 
 @intrinsic
 def splat(typingctx, value):
-    """The same number in every entry."""
+    """Fill a vector with one number."""
 
     def codegen(context, builder, signature, args):
         return _splat(builder, args[0])

@@ -188,6 +188,6 @@ def _unsigned(value: int, width: int = 1) -> bytes:
 
 
 def _signed(value: int, width: int = 1) -> bytes:
-    """Likewise, of a number that is not negative but is read as one with a sign."""
+    """Encode a non-negative number as signed LEB128."""
     encoded = _unsigned(value, width)
     return encoded if not encoded[-1] & 0x40 else bytes([*encoded[:-1], encoded[-1] | 0x80, 0])

@@ -325,7 +325,7 @@ def _lag_of(turning: Any) -> float:
 
 
 def on_curved_roads(mpc: Any) -> Any:
-    """The same MPCs with room for the road ahead."""
+    """Return MPCs with additional room for the road ahead."""
     turning = mpc.feed.turning
     curved = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
     return mpc._replace(settings=curved.settings, bend=curved.bend, feed=curved.feed._replace(turning=turning))
@@ -359,7 +359,7 @@ def forget(slot, mpc):
 
 @inlined
 def restart(slot, mpc):
-    """Likewise, but what has been learned of the car stays."""
+    """Reset a slot but keep what it has learned of the car."""
     memory = mpc.memory[slot]
     memory.started, memory.command, memory.active, memory.kept, memory.planned, memory.age = 0, 0.0, 0, 0, 0, 0
     memory.reference = 0.0

@@ -85,7 +85,7 @@ def is_formed(slot, speed, mpc):
 
 @exported(void(int64, float64, boolean, MPC, Functions))
 def form_model(slot, speed, of_next, mpc, functions):
-    """What depends on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M.
+    """Form the matrices that depend on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M.
 
     of_next: F is that of the next increment, see `condensing.responses`.
     """

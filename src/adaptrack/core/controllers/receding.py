@@ -141,7 +141,7 @@ def _limits_reached(slot, move, angle, m, mpc):
 
 @inlined
 def _remember(slot, angle, mpc):
-    """What the next step needs of this one."""
+    """Store the signals that the next step needs."""
     memory = mpc.memory[slot]
     memory.command = angle
     for i in range(mpc.states.size):

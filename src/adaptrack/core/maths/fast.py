@@ -64,7 +64,7 @@ def fast_arctangent_of_ratio(y: float, x: float) -> float:
 
 @inlined
 def fast_arctangent(x: float) -> float:
-    """arctan(x)."""
+    """Arctangent of x (rad), in a fixed number of operations."""
     return fast_arctangent_of_ratio(x, 1.0)
 
 

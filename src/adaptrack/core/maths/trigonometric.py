@@ -175,7 +175,7 @@ def _sine_at(n, y, low):
 
 @exported(several(int64, float64, float64)(float64), name="reduced_right_angle")
 def _far(x):
-    """What `_near` gives, for any finite |x| >= 2^-6.
+    """Reduce the argument for any finite |x| >= 2^-6, in the form of `_near`.
 
     Payne and Hanek's reduction (Radian reduction for trigonometric functions, SIGNUM Newsletter 18(1), 1983): of the
     product of x with 2/pi, only those bits that are not multiples of 4, in whole numbers; 126 of them after the point.
@@ -230,7 +230,7 @@ def _reduced(x):
 
 @exported(float64(float64))
 def sin(x: float) -> float:
-    """sin(x)."""
+    """Sine of x (rad)."""
     if abs(x) < _TINY:
         return x
     n, y, low = _reduced(x)
@@ -239,7 +239,7 @@ def sin(x: float) -> float:
 
 @exported(float64(float64))
 def cos(x: float) -> float:
-    """cos(x)."""
+    """Cosine of x (rad)."""
     n, y, low = _reduced(x)
     return _sine_at(n + 1, y, low)
 
@@ -298,7 +298,7 @@ def arctangent_of_ratio(y: float, x: float) -> float:
 
 @exported(float64(float64))
 def atan(x: float) -> float:
-    """arctan(x)."""
+    """Arctangent of x, in rad."""
     return arctangent_of_ratio(x, 1.0)
 
 

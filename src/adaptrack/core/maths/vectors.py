@@ -59,7 +59,7 @@ def spread(array: Any, *index: int) -> Any:
 
 @primitive
 def splat(value: float) -> Any:
-    """The same number in every entry."""
+    """Fill a vector with one number."""
     return np.full(WIDTH, value)
 
 

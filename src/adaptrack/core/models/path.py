@@ -118,7 +118,7 @@ def discretise_disturbed(speed, period, c, f, b):
 
 @inlined
 def saturation(turn, friction, shape):
-    """What tyres pull less (m/s^2, signed) than linear ones at the same slip in a steady turn of so many m/s^2.
+    """Loss of tyre pull (m/s^2, signed) against linear tyres at equal slip, in a steady turn of so many m/s^2.
 
     Each axle pulls its share F/F_z = turn/g. By the Magic Formula with E = 0 (Pacejka, eq. 4.E19) it slides under the
     angle at which a linear tyre would pull mu F_z C tan(asin(f)/C), f = F/(mu F_z).
@@ -137,8 +137,7 @@ def _slid(slip, stiffness, load):
 
 @inlined
 def sliding(speed, vy, r, angle, c):
-    """What the tyres pull (m/s^2); variances of dv_y/dt and dr/dt and their covariance when each axle's force deviates
-    by F^2/F_z.
+    """Tyre pull (m/s^2); variances and covariance of dv_y/dt and dr/dt for axle forces that deviate by F^2/F_z.
 
     In the brush model a tyre loses F^2/(3 mu F_z) to sliding, in first order (Pacejka, Tire and Vehicle Dynamics,
     3rd ed., section 3.2).

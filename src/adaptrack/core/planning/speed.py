@@ -93,7 +93,7 @@ Powertrain = record(
 # -- the car ----------------------------------------------------------------------------------------------------------
 @inlined
 def _powertrain(plant):
-    """What bounds a car along the road; without one, nothing does."""
+    """Return the longitudinal bounds of a car; without a powertrain there are none."""
     if plant.size == 0:
         return Powertrain(1.0, math.inf, math.inf, math.inf, 0.0, 0.0, 0.0, 0.0)
     car = unpack(plant)
@@ -112,7 +112,7 @@ def _slowed(w, car):
 
 @inlined
 def _left(k, w, lever, table):
-    """What friction leaves along the road (m/s^2): Newton's method from above on a convex function, to rounding.
+    """Return the friction left along the road (m/s^2), by Newton's method from above on a convex function, to rounding.
 
     lever: of the axle that is unloaded, see `Powertrain`.
     """
@@ -134,7 +134,7 @@ def _left(k, w, lever, table):
 
 @inlined
 def _drives(k, w, car, planning):
-    """What bounds the acceleration (m/s^2) between two places at v^2 = w: comfort, grip, power."""
+    """Return the bounds of the acceleration (m/s^2) between two places at v^2 = w: comfort, grip, power."""
     slowed = _slowed(w, car)
     force = min(car.traction, car.power / sqrt(max(w, 1e-6)))
     return planning.bounds.accelerate, _left(k, w, car.rear, planning.table) - slowed, force / car.mass - slowed
@@ -142,7 +142,7 @@ def _drives(k, w, car, planning):
 
 @inlined
 def _brakings(k, w, car, planning):
-    """What bounds the deceleration (m/s^2) there: comfort, grip, brakes, margins of the controller.
+    """Return the bounds of the deceleration (m/s^2) at a place: comfort, grip, brakes, margins of the controller.
 
     What air and rolling add is left to the tyres as a reserve.
     """
@@ -380,7 +380,7 @@ _four = local(4)
 
 @inlined
 def _binds(k, car, planning):
-    """What bounds the acceleration between two places."""
+    """Return the bound that limits the acceleration between two places."""
     table, most = planning.table, _four()
     start, there = table[PLAN.square, k], table[PLAN.square, k + 1]
     if there >= start or _drive(k, start, car, planning) < 0.0:

@@ -101,7 +101,7 @@ def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
 
 
 class CompiledPlant(NamedTuple):
-    """What a plant gives, compiled."""
+    """The compiled functions and parameters of a plant."""
 
     right_hand_side: Any
     """of a user's plant, see `user.RIGHT_HAND_SIDE`; of a built-in one ``f(x, u, parameters, dx)`` on block entries"""

@@ -74,7 +74,7 @@ def stationarity(problem, q, x, w):
 
 @inlined
 def exact_stationarity(problem, q, x, w):
-    """The same, accumulated in twice the working precision."""
+    """Compute the gradient of the Lagrangian in twice the working precision."""
     for b in range(0, padded(problem.n), WIDTH):
         high = load(problem.K, b)
         low = zeros()

@@ -49,7 +49,7 @@ class Function(ABC):
 
     @abstractmethod
     def shifted(self, by: float) -> Self:
-        """The same function, `by` higher everywhere."""
+        """Return a copy of the function with `by` added everywhere."""
 
     @abstractmethod
     def blended(self, share: float, value: float) -> Self:
@@ -57,7 +57,7 @@ class Function(ABC):
 
     @abstractmethod
     def save(self) -> dict[str, Any]:
-        """What `load` reads back to the bit: text, numbers and lists."""
+        """Return the content of the function's file (text, numbers, lists), which `load` reads back to the bit."""
 
     @classmethod
     @abstractmethod

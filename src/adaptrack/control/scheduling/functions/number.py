@@ -17,7 +17,7 @@ from adaptrack.core import functions as kernel
 @checked
 @dataclass(frozen=True)
 class Number(Function):
-    """The same value everywhere."""
+    """A constant function."""
 
     value: Finite
     kind = "number"
