@@ -160,7 +160,7 @@ class _Argument(NamedTuple):
     validate: Callable[[Any], Any]
 
     def value(self, given: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-        """What the body gets for what was given; args: all positional arguments, of which a method's first is self."""
+        """Bind and check the arguments of a call; args: all positional arguments, including a method's self."""
         try:
             return self.validate(given)
         except ValidationError as error:
@@ -169,7 +169,7 @@ class _Argument(NamedTuple):
             raise InvalidInput(f"{where}: {self._problem(given, error)}") from None
 
     def _problem(self, given: Any, error: ValidationError) -> str:
-        """What is wrong, from the name of the argument to the remedy."""
+        """Return the error text of an argument, from its name to the remedy."""
         found = error.errors(include_url=False)[0]
         name, annotation = self.name, self.annotation
         for part in found["loc"][: -1 if found["type"] == "missing" else None]:
@@ -388,7 +388,7 @@ def _container(field: FieldInfo) -> str:
 
 
 def allowed(field: FieldInfo) -> str:
-    """What a field of a file or an argument accepts, in words; empty when it is too rich for a phrase."""
+    """Return the accepted values of a field or an argument in words; empty when they are too complex for a phrase."""
     annotation: Any = _without_none(field.annotation)
     if typing.get_origin(annotation) is Literal:
         return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))

@@ -167,7 +167,7 @@ LISTED = BeforeValidator(_tuple_of)
 
 
 def meanings(record: Record) -> dict[str, str]:
-    """What stands behind each value in a file; of a value in a section, by "section.key"."""
+    """Return the description of each value in a file; of a value in a section, by "section.key"."""
     found = {}
     for name, field in type(record).model_fields.items():
         found[name] = field.description or ""

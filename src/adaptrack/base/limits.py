@@ -20,7 +20,7 @@ class Limit(NamedTuple):
 
     most: float
     unit: str
-    """what is counted, or the SI unit; empty for a number without one"""
+    """Noun of a count, or the SI unit; empty for a number without one."""
     reason: str
     """a clause that says why, with the memory or the time of the largest request"""
 

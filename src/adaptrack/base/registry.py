@@ -65,7 +65,7 @@ class Registry(Generic[Member]):
             ) from None
 
     def make(self, name: str, *arguments: Any, **options: Any) -> Member:
-        """What the factory of this name makes.
+        """Call the factory registered under a name.
 
         Raises
         ------

@@ -25,7 +25,7 @@ class Column:
     """A named column of a table."""
 
     name: str
-    """Of the entry in each row, also in JSON."""
+    """Key of the entry in each row, also in JSON."""
     title: str
     """Its heading; two lines where there is no unit."""
     unit: str = ""
@@ -357,14 +357,14 @@ class Result:
     failed: bool = False
     """Whether the answer is one that nobody wants."""
     headline: str = ""
-    """What failed, to stand before the title; empty where nothing did."""
+    """The failure, to stand before the title; empty without one."""
     values: Mapping[str, Any] = field(default_factory=dict)
     """Named numbers and words that pages tell in sentences, beside `record`."""
     command: str = ""
     """The command line that makes it again."""
     created: str = ""
     next_step: str = ""
-    """What to do next, with the command."""
+    """Suggestion for the next command."""
 
     def table(self, name: str) -> ResultTable:
         """A table by its name."""

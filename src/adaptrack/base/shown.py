@@ -14,5 +14,5 @@ def figure_of(shown: Any, *more: Any) -> Any:
 
 
 def html_of(shown: Any) -> str:
-    """What a notebook shows of the object."""
+    """Return the HTML form of an object for a notebook."""
     return str(importlib.import_module(_ROOM).html_of(shown))

@@ -37,7 +37,7 @@ class Outline:
 
     @property
     def length(self) -> float:
-        """m"""
+        """Overall length (m)."""
         return self.front + self.rear
 
     @property

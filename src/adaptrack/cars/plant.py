@@ -72,7 +72,7 @@ class Plant(ABC):
     @property
     @abstractmethod
     def compiled(self) -> Any:
-        """What the kernels call (`core.plants.contract.CompiledPlant`)."""
+        """Compiled form for the kernels (`core.plants.contract.CompiledPlant`)."""
 
     def initial_state(self, motion: ArrayLike) -> Array:
         """All states (n,) in equilibrium with the first six, X (m), Y (m), yaw (rad), v_x, v_y (m/s), yaw rate (rad/s).
@@ -108,7 +108,7 @@ class Plant(ABC):
 
 @dataclass(frozen=True)
 class _Car(Plant):
-    """What the two built-in vehicles share.
+    """Common part of the two built-in vehicles.
 
     vehicle: body, air, powertrain; tyre: a `Tyre`, or a name or file for `load_tyre`, by default the vehicle's;
     steering: the actuator, None for the profile's; steps: Runge-Kutta steps per control period, None for as many

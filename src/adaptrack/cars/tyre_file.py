@@ -59,7 +59,7 @@ LIGHTEST, HEAVIEST = 0.3, 1.6
 
 
 class _Value(NamedTuple):
-    """What stands behind a key."""
+    """The value of a key."""
 
     text: str
     line: int
@@ -87,7 +87,7 @@ class TyreFile:
     lateral_stiffness: float | None
     """N/m, LATERAL_STIFFNESS, from MF 6 on"""
     notes: tuple[str, ...]
-    """what the file holds that is left out, a sentence each"""
+    """Sentences on the parts of the file that are not used."""
 
     @property
     def scaled_load(self) -> float:
@@ -169,7 +169,7 @@ class TyreFile:
         return float(f"{1e5 * found.x[0]:.5g}"), float(f"{found.x[1]:.5g}")
 
     def _said(self, loads: Array, reaches: Array | None) -> list[str]:
-        """What becomes of the relaxation length."""
+        """Return the note on the relaxation length."""
         if reaches is None:
             return ["No relaxation length in the file: forces build up at once."]
         ends = self.relaxation_length(loads[[0, -1]])
@@ -389,7 +389,7 @@ class _Reader:
                 )
 
     def left_out(self, model: str, p: dict[str, float], scaling: dict[str, float], nominal: float) -> list[str]:
-        """What the file holds that is left out, and how its signs were read."""
+        """Return the notes on unused parts of the file and on its sign convention."""
         said = [
             "PKY1 < 0: slip with the sign of ISO, where a positive one pushes to the right; turned round."
             if p["PKY1"] < 0.0

@@ -24,7 +24,7 @@ class Samples(NamedTuple):
     slip: Array
     """rad, positive to the left"""
     load: Array
-    """N"""
+    """Vertical load (N)."""
     force: Array
     """N, positive to the left"""
     rear: NDArray[np.bool_]
@@ -47,7 +47,7 @@ class TyreFit:
     loads: tuple[float, float]
     """N, of a tyre, likewise"""
     notes: tuple[str, ...] = ()
-    """what was left out, assumed or found, a sentence each"""
+    """Sentences on data that were dropped or assumed."""
 
     def __str__(self) -> str:
         return (

@@ -144,7 +144,7 @@ def _number(shown: str, line: int, column: str, cell: str) -> float:
 
 
 def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, float] | None) -> _Axle:
-    """What is known of an axle, for one of its tyres."""
+    """Return the measured data of an axle, for one of its tyres."""
     shown, force = printable(where), columns[FORCES[i]]
     there = np.isfinite(force)
     slip, force = columns["slip"][there], 0.5 * force[there]

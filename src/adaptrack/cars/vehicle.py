@@ -112,7 +112,7 @@ class Tyre(Record):
 
     @property
     def numbers(self) -> Any:
-        """What the kernels know of it, a row of `core.synthesis.plant.Tyre`."""
+        """Kernel record of the tyre, `core.synthesis.plant.Tyre`."""
         return row_of(
             kernel.Tyre, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
             shape_factor=self.shape,
@@ -153,7 +153,7 @@ class SteeringActuator(Record):
 
 
 class Steering(Record):
-    """What is known of a car's steering: the section ``[steering]`` of a car file. What is left out is unknown.
+    """Steering parameters: the section ``[steering]`` of a car file. Omitted values are unknown.
 
     All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.
     """
@@ -180,7 +180,7 @@ class Steering(Record):
 
 
 class Body(Record):
-    """What is known of a car's outline: the section ``[body]`` of a car file. What is left out is estimated."""
+    """Outline parameters: the section ``[body]`` of a car file. Omitted values are estimated."""
 
     length: float | None = Field(default=None, gt=0, le=30, description="m, over all")
     width: float | None = Field(default=None, gt=0, le=10, description="m, without mirrors")
@@ -334,12 +334,12 @@ class Vehicle(Record):
 
     @property
     def numbers(self) -> Any:
-        """What the kernels of controller synthesis know of it, a row of `core.synthesis.car.Car`."""
+        """Kernel record of the car for controller synthesis, `core.synthesis.car.Car`."""
         return row_of(car.Car, self)
 
     @property
     def chassis(self) -> Any:
-        """What a plant takes of it beside tyre and steering, a row of `core.synthesis.plant.Chassis`."""
+        """Kernel record of the car without tyre and steering, `core.synthesis.plant.Chassis`."""
         return row_of(kernel.Chassis, self)
 
     @property

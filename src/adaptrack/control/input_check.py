@@ -27,7 +27,7 @@ from adaptrack.core.kernel import Resident
 
 
 class Finding(NamedTuple):
-    """What a comparison of inputs found."""
+    """Result of one comparison of inputs."""
 
     compared: str
     seconds: float
@@ -136,12 +136,12 @@ class InputCheck:
 
     @property
     def sideslip(self) -> float:
-        """Of the car (rad), NaN where it is not known."""
+        """Sideslip angle of the car (rad); NaN where it was not measured."""
         return float(self._memory.sideslip)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What each comparison found."""
+        """Results of all comparisons."""
         own, names = self._memory, ("", *MISTAKES._fields)
         return tuple(
             Finding(words, float(own.seconds[i]), names[own.label[i]])

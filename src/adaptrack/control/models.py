@@ -69,8 +69,7 @@ class PredictionModel(ABC):
         """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `core.models.contract`."""
 
     def turning(self) -> Array:
-        """What the steering of a curved road ahead follows from: the first five of
-        `core.controllers.feed_forward.Turning`; or (0,).
+        """Steering coefficients on curved roads, the first five of `core.controllers.feed_forward.Turning`; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """

@@ -43,7 +43,7 @@ _log = logging.getLogger("adaptrack")
 
 
 class Status(StrEnum):
-    """What a step was."""
+    """Kind of a step."""
 
     OK = "ok"
     """a new position was used; a call between two instants has the status of the last one"""
@@ -72,7 +72,7 @@ _STATUSES = tuple(Status)
 
 
 class Tracked(NamedTuple):
-    """What a step gives."""
+    """Result of one call of a tracker."""
 
     command: float
     """rad, angle of the road wheels to ask for, positive to the left"""
@@ -300,7 +300,7 @@ class Tracker:
         return tracked
 
     def _answer(self, time: float) -> Tracked:
-        """What a call gives."""
+        """Convert a kernel row to the result of a call."""
         command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)

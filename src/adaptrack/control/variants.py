@@ -23,7 +23,7 @@ def learning(vehicle: Vehicle, *, profile: str | Profile | None = None, **option
 
 
 def learning_from_sheet(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
-    """The same, when all that is known are mass and wheelbase of the car, and the sensors."""
+    """Make a learning MPC from the mass and wheelbase of a car and its sensors."""
     car = vehicle_from_data_sheet(vehicle.name, vehicle.mass, vehicle.wheelbase)
     return learning(car, profile=profile, **options)
 

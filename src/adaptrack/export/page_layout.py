@@ -70,7 +70,7 @@ def _field(kind: Any, records: dict[str, Any]) -> tuple[str, Any, int]:
 
 
 def calls(names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the argument and result types of each kernel: "f", "i" numbers, "r" a record, "1" to "4" an array's rank."""
+    """Return the argument and result types of each kernel: "f", "i" numbers, "r" a record, "1" to "4" arrays."""
     return {name: _call(EXPORTED[name].signature) for name in names}
 
 

@@ -169,7 +169,7 @@ class Twin:
         self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
 
     def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one call's result, a row of `core.tracker.records.TRACKED`; sample: first entries of a `SAMPLE` row."""
+        """Return one call's result, a row of `core.tracker.records.TRACKED`; sample: start of a `SAMPLE` row."""
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample
         self._run()

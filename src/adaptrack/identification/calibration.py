@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 
 class Correction(NamedTuple):
-    """Of a standard error."""
+    """Correction of a standard error."""
 
     factor: float = 1.0
     floor: float = 0.0

@@ -41,7 +41,7 @@ load, 1/rad."""
 
 
 class Said(NamedTuple):
-    """What one stretch or log says of the reported quantities; logarithms for what is positive, (m,) each."""
+    """Estimates of the reported quantities from one stretch or log; logarithms of positive quantities, (m,) each."""
 
     mean: Array
     variance: Array
@@ -60,7 +60,7 @@ def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
 
 
 def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
-    """Of what was not believed either: a car file may hold a strange car."""
+    """Return the quantities outside physical bounds; a car file may still hold an unusual car."""
     wheelbase, lf = car.wheelbase, found["lf"].value
     lr = max(wheelbase - lf, 1e-3)
     load = car.mass * GRAVITY / wheelbase

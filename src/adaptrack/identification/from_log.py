@@ -148,7 +148,7 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
 
 
 def _alone(fit: Fit, curve: Tyre) -> Identification:
-    """What one log says."""
+    """Identify the car from one log."""
     likelihood, z, covariance, rivals, columns, beliefs = fit
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
@@ -164,7 +164,7 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
 
 
 def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identification:
-    """What several logs of one car say together; what is each log's own stays with it."""
+    """Identify one car from several logs; quantities of a single log stay with that log."""
     main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
     likelihood, first = fits[main].likelihood, alone[main]
     reasons = contradictions("logs", *_said_by(fits, fits[main]))
@@ -223,7 +223,7 @@ def prepare(log: str | os.PathLike[str] | Mapping[str, object], car: Vehicle) ->
 
 
 def reported(likelihood: Likelihood, z: Array, covariance: Array) -> dict[str, Estimate]:
-    """What `identify` reports of a fit, without a validation."""
+    """Return the reported quantities of a fit, without a validation."""
     return _estimates(likelihood, z, covariance)[0]
 
 
@@ -331,7 +331,7 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
 
 
 def _values(likelihood: Likelihood, rows: Sequence[tuple[Any, ...]], z: Array) -> Array:
-    """What is reported at a point, logarithms of what is positive."""
+    """Reported quantities at a point; logarithms of positive quantities."""
     values = likelihood.values(z)
     return np.array([math.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
 
@@ -429,7 +429,7 @@ def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
 
 
 def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
-    """What was believed of the reported quantities, linearised where the fit is."""
+    """Prior of the reported quantities, linearised at the fit."""
     likelihood = fit.likelihood
     jacobian = _slopes(likelihood, rows, fit.z)
     mean = _values(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]

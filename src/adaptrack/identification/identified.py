@@ -53,7 +53,7 @@ class Validation:
     one_step: float
     """share of the variance that one-step predictions explain (1 is all)"""
     simulated: float
-    """likewise for simulations from the command alone"""
+    """Share of the yaw rate's variance explained by a simulation from the command alone."""
     held_out: float
     """s, in all"""
     autocorrelation: tuple[float, ...]
@@ -62,11 +62,11 @@ class Validation:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """What is drawn: signals along the log, (n,) each."""
+    """Signals along the log for pictures, (n,) each."""
 
     time: Array
     measured: Array
-    """rad/s"""
+    """Measured yaw rate (rad/s)."""
     simulated: Array
     """rad/s, from the command alone, begun anew at every segment"""
     innovations: Array
@@ -78,7 +78,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What a log tells of a car, see `identify`."""
+    """Result of `identify`: estimates with intervals, validation and the car file."""
 
     estimates: Mapping[str, Estimate]
     covariance: Array
@@ -194,7 +194,7 @@ class Identification:
         write_atomically(path, ("\n".join(head) + "\n\n" + dump_toml(values, meanings)).encode())
 
     def to_dict(self) -> dict[str, object]:
-        """What ``--json`` says."""
+        """Return the content of ``--json``."""
         return {
             "estimates": {
                 name: {

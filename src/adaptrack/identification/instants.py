@@ -61,7 +61,7 @@ class ReadLog:
         return bool(np.isfinite(self.columns.values.get(name, np.nan)).any())
 
     def without(self, names: Sequence[str]) -> ReadLog:
-        """The same without signals."""
+        """Return a copy without signals."""
         blank = np.full(self.log.samples, math.nan)
         kept = {name: values for name, values in self.columns.values.items() if name not in names}
         gone: dict[str, Any] = {name: blank for name in names if name in ("vy", "acceleration", "wheel", "yaw")}
@@ -143,7 +143,7 @@ class Samples:
     """(n,) m, of the feet on the path"""
 
     def along(self, path: Road | None, place: tuple[Array, Array, Array]) -> Samples:
-        """The same beside a path; place: x, y (m), yaw (rad), (n,) each."""
+        """Return a copy with the path added; place: x, y (m), yaw (rad), (n,) each."""
         x, y, yaw = place
         begin = int(np.argmax(np.isfinite(x + y)))
         if path is None or not math.isfinite(x[begin] + y[begin]):

@@ -42,7 +42,7 @@ STRETCH = 10.0
 
 
 class Likelihood:
-    """What a log says of a car: innovations and objective at any point z."""
+    """Likelihood of a log: innovations and objective at any point z."""
 
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | None = None) -> None:
         """used: (n,) 1 where a sample is taken in and counts; all when left out."""
@@ -113,7 +113,7 @@ class Likelihood:
         return self._answer[: len(OUTPUTS)].copy(), self._answer[len(OUTPUTS) : 2 * len(OUTPUTS)].copy()
 
     def found(self, z: Array) -> dict[str, Array]:
-        """What the filter finds at each sample, by the names of the kernel's `FOUND`."""
+        """Filter results at each sample, by the names of the kernel's `FOUND`."""
         self.innovations(z)
         return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(OUTPUTS) :].copy(), strict=True))
 
@@ -145,7 +145,7 @@ class Likelihood:
 
     @property
     def beliefs(self) -> dict[str, Prior]:
-        """Of every quantity, as they are now."""
+        """Current prior of every quantity."""
         pairs = zip(self.median, self.spread, strict=True)
         return {each.name: Prior(*map(float, pair)) for each, pair in zip(QUANTITIES, pairs, strict=True)}
 

@@ -57,11 +57,11 @@ class Log:
     ratio: float = 1.0
     """-, by which the logged angle was divided to give `command`"""
     notes: tuple[str, ...] = ()
-    """what was left out, and how the columns were read"""
+    """Sentences on dropped rows and on the reading of columns."""
 
     @property
     def samples(self) -> int:
-        """n"""
+        """Number of samples."""
         return int(self.time.size)
 
     @property

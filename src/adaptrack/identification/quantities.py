@@ -31,7 +31,7 @@ class Quantity:
 
 
 class Prior(NamedTuple):
-    """What is thought of a quantity before the log is read."""
+    """Prior of a quantity before the log is read."""
 
     median: float
     spread: float
@@ -110,7 +110,7 @@ def values_of(z: Array, median: Array, spread: Array) -> Array:
 
 
 def beliefs_of(car: Vehicle, known: Mapping[str, Prior] | None = None) -> dict[str, Prior]:
-    """What is believed of every quantity: of a car's body what its file says, of its tyres about that.
+    """Return the prior of every quantity: body values from the car file, tyre values around it.
 
     known: replaces entries; a car file that says how well it knows its numbers is read here.
     """

@@ -15,7 +15,7 @@ COLUMNS = (
 
 
 def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), command: str = "") -> Result:
-    """What contradicts what, the answer first."""
+    """Return the contradictions between inputs as a result."""
     rows = [
         {
             "compared": each.compared, "seconds": each.seconds,

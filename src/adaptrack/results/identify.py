@@ -90,7 +90,7 @@ def identification_result(found: Identification, command: str = "") -> Result:
 
 
 def _first(found: Identification) -> str:
-    """What one asks for first, as far as the log says it."""
+    """Return the most important estimates as a headline."""
     shown = [_in_units(found[name]) for name in _FIRST[:2] if name in found.estimates]
     said = [f"{each['label'].lower()} {each['value']:.3g} ± {each['half']:.2g} {each['unit']}" for each in shown]
     return capital(", ".join(said)) if said else "Nothing was found of delay and understeer"
@@ -148,7 +148,7 @@ def _tables(found: Identification) -> list[ResultTable]:
 
 
 def _of_each_log(found: Identification) -> list[ResultTable]:
-    """What each of several logs says by itself."""
+    """Table of the estimates from each single log."""
     rows: list[Row] = []
     for name in found.estimates:
         own = [each.estimates.get(name) for each in found.alone]

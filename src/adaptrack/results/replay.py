@@ -74,7 +74,7 @@ def replay(drives: Drives) -> Markup:
 
 
 def replay_data(drives: Drives) -> dict[str, Any]:
-    """What the script reads: the road's edges, the scale of colours, and each car with its outline and columns."""
+    """Return the data of the replay: the road's edges, the colour scale, and each car with outline and columns."""
     shown = list(drives.values())
     return {
         "road": _road(shown[0].road, road_span(shown)),

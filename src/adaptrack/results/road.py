@@ -44,7 +44,7 @@ PLACES = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "
 
 
 def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Result:
-    """What a road is, how fast it is driven, and what of it cannot be driven."""
+    """Return a road, its planned speed and the parts that cannot be driven as a result."""
     barred = [each for each in findings if not each.drivable]
     summary = _summary(road, plan)
     about = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
@@ -71,7 +71,7 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
 
 
 def limits_record(plan: SpeedPlan) -> dict[str, Any]:
-    """What bounds a planned speed: shares of the road, and the stretches from the start to the end; for JSON."""
+    """Return the shares and stretches of the bounds of a planned speed, from start to end; for JSON."""
     return {
         "shares": {limit.value: share for limit, share in plan.shares.items()},
         "stretches": [{"limit": each.limit.value, "start": each.start, "end": each.end} for each in plan.stretches],

@@ -62,7 +62,7 @@ BELIEVED = (
 
 
 def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Result:
-    """What came of the logs as a result."""
+    """Return the logs of shadow mode as a result."""
     several = len(found.logs) > 1
     return Result(
         kind="shadow",
@@ -106,14 +106,14 @@ def _winner(log: ShadowLog) -> str:
 
 
 def _warned(each: Warned, log: ShadowLog) -> str:
-    """What would have been warned of, in words."""
+    """Return the warnings in words."""
     if math.isnan(each.seconds):
         return f"{each.what} (the whole log)"
     return f"{each.what} ({each.seconds:.0f} of {log.time[-1]:.0f} s, from {each.first:.0f} s on)"
 
 
 def _notes(found: Shadow) -> list[str]:
-    """What the reader must know beside."""
+    """Return the notes for the reader."""
     several = len(found.logs) > 1
     notes = []
     for log in found.logs:

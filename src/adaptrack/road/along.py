@@ -26,7 +26,7 @@ class Along(Record):
     """
 
     s: tuple[float, ...]
-    """m"""
+    """Stations (m)."""
     value: tuple[float, ...]
     kind: Literal["linear", "steps"] = "linear"
     """steps: a value holds from its arc length to the next"""
@@ -41,7 +41,7 @@ class Along(Record):
 
     @classmethod
     def constant(cls, value: float) -> Self:
-        """The same value everywhere."""
+        """Make a profile with one value everywhere."""
         return cls(s=(0.0,), value=(float(value),))
 
     @classmethod

@@ -41,14 +41,14 @@ class Finding:
 
     kind: Kind
     start: float
-    """m"""
+    """Start station (m)."""
     end: float
-    """m"""
+    """End station (m)."""
     value: float
     """of the worst place: radius (m), lateral acceleration (g), steering rate (rad/s), width (m), curvature (1/m), or
     speed (m/s) of ripple and domain"""
     limit: float
-    """what is possible"""
+    """Limit of the quantity."""
     text: str
     drivable: bool
     """Whether the road can be driven all the same."""
@@ -62,7 +62,7 @@ def smallest_radius(car: Vehicle) -> float:
 
 @checked
 def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None) -> list[Finding]:
-    """What of a road a car cannot drive, then what it must know: the worst place of each stretch.
+    """List the places of a road that a car cannot drive, then notes for the driver: the worst place of each stretch.
 
     Parameters
     ----------

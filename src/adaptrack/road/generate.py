@@ -27,7 +27,7 @@ Element = Line | Arc | Clothoid
 
 
 class Kind(NamedTuple):
-    """What a kind of road is made of; ranges are (least, most), of radii and lengths drawn on a logarithmic scale."""
+    """Recipe of a kind of road; ranges (least, most) of radii and lengths are drawn on a logarithmic scale."""
 
     speed: float
     """m/s, design speed: the default speed limit"""
@@ -42,7 +42,7 @@ class Kind(NamedTuple):
     tight_radius: tuple[float, float] = (0.0, 0.0)
     """m, of these: the corners of a town, the hairpins of a pass"""
     tight_angle: tuple[float, float] = (0.0, 0.0)
-    """rad"""
+    """Range of the angle of tight bends (rad)."""
     acceleration: float = 3.0
     """m/s^2, lateral, with which bends are driven below the design speed"""
     jerk: float = 0.6
@@ -195,7 +195,7 @@ class _Growing:
     """m, by which parts that are not neighbours keep off each other"""
     parts: list[_Part] = field(default_factory=list)
     length: float = 0.0
-    """m"""
+    """Length so far (m)."""
 
     @property
     def end(self) -> Pose:

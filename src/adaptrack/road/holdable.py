@@ -117,7 +117,7 @@ def _place(axis: tuple[float, ...], x: Array) -> tuple[np.ndarray, Array]:
 
 
 def load_holdable(path: str | os.PathLike[str]) -> HoldableSpeed:
-    """What `HoldableSpeed.to_toml` has written.
+    """Read a file written by `HoldableSpeed.to_toml`.
 
     Raises
     ------

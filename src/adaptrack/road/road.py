@@ -40,11 +40,11 @@ class Jump(NamedTuple):
     """A place at which the curvature jumps."""
 
     s: float
-    """m"""
+    """Station (m)."""
     before: float
-    """1/m"""
+    """Curvature before it (1/m)."""
     after: float
-    """1/m"""
+    """Curvature after it (1/m)."""
 
 
 class Projection(NamedTuple):
@@ -85,17 +85,17 @@ class Road:
     width_right: Along = HALF_LANE
     """m, from the centre line to the right edge"""
     speed_limit: Along | None = None
-    """m/s"""
+    """Speed limit along the road (m/s)."""
     friction: Along = DRY
     """coefficient of all wheels"""
     bank: Along = LEVEL
     """rad, positive where gravity pushes to the left"""
     notes: tuple[str, ...] = ()
-    """what its reader has to say: deviations, what was left out"""
+    """Sentences of its reader on deviations and unused parts."""
     deviation: float = 0.0
     """m, largest distance from a point that the road was fitted to"""
     elements: tuple[Segment, ...] = field(default=(), repr=False)
-    """what the centre line was made of; empty for a line beside elements, as a lane is, and for one through points"""
+    """Elements of the centre line; empty for a fitted line and for a lane beside elements."""
 
     def __post_init__(self) -> None:
         check_limit(f"road {self.name!r}: length", self.length, ROAD_LENGTH)

@@ -34,9 +34,9 @@ class Points(NamedTuple):
     """Points of a curve, one entry or array each."""
 
     x: Array
-    """m"""
+    """x coordinates (m)."""
     y: Array
-    """m"""
+    """y coordinates (m)."""
     heading: Array
     """rad, of the tangent; continuous along the curve"""
     curvature: Array
@@ -47,15 +47,15 @@ class Pose(NamedTuple):
     """Where an element begins."""
 
     x: float = 0.0
-    """m"""
+    """x of its start (m)."""
     y: float = 0.0
-    """m"""
+    """y of its start (m)."""
     heading: float = 0.0
-    """rad"""
+    """Heading at its start (rad)."""
 
 
 class Placed(Record):
-    """What an element may say of its place."""
+    """Start pose that an element may state."""
 
     start: tuple[float, float, float] | None = Field(
         default=None, description="x, y (m) and heading (rad) of its origin and axis; none: at the end of the last one"

@@ -53,7 +53,7 @@ USUAL = Comfort()
 
 
 class Limit(StrEnum):
-    """What bounds a planned speed at a place."""
+    """Bound of a planned speed at a place."""
 
     LATERAL = "lateral comfort"
     GRIP = "grip"
@@ -78,16 +78,16 @@ class Stretch(NamedTuple):
 
     limit: Limit
     start: float
-    """m"""
+    """Start station (m)."""
     end: float
-    """m"""
+    """End station (m)."""
 
 
 class Stop(NamedTuple):
     """A place to stop at."""
 
     s: float
-    """m"""
+    """Station (m)."""
     seconds: float = 0.0
     """how long to stand"""
 
@@ -111,7 +111,7 @@ class SpeedPlan:
 
     @property
     def stretches(self) -> list[Stretch]:
-        """What bounds the speed where, from the start to the end; none where it was not planned."""
+        """Stretches of the active speed bound, from start to end; none where the speed was not planned."""
         if self.binding is None:
             return []
         cuts = np.flatnonzero(np.diff(self.binding)) + 1
@@ -257,7 +257,7 @@ def _bounds(
     comfort: Comfort, car: Vehicle | None, start: float | None = None, end: float | None = None,
     top_speed: float | None = None, spacing: float = SPACING,
 ) -> Any:  # fmt: skip
-    """What bounds a plan beside the road and the powertrain, for the kernels."""
+    """Return the bounds of a plan besides road and powertrain, for the kernels."""
     return kernel.Bounds(
         **comfort.model_dump(),
         start=math.nan if start is None else start,

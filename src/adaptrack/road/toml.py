@@ -63,15 +63,15 @@ class Piece(Record):
     y: float = Field(ge=-FARTHEST, le=FARTHEST, description="m")
     heading: float = Field(ge=-LONGEST, le=LONGEST, description="rad, at its middle")
     along: Coefficients
-    """m"""
+    """Coefficients along the road (m)."""
     across: Coefficients
-    """m"""
+    """Coefficients across the road (m)."""
     turned: Coefficients
     """rad, the heading less that at the middle"""
 
 
 class RoadFile(Record):
-    """What a file says of a road."""
+    """Content of a road file."""
 
     name: str | None = Field(default=None, description="by default that of the file")
     closed: bool | None = Field(default=None, description="a lap; by default not, points: as found")

@@ -102,7 +102,7 @@ class RoadDrive:
 
     @checked
     def sample(self, period: Annotated[Positive, "s"] = 0.1) -> Signals:
-        """What happens at the instants k·period until the end of the road (see `Signals`).
+        """Sample the drive at the instants k·period until the end of the road (see `Signals`).
 
         Raises
         ------

@@ -104,7 +104,7 @@ class Profile(Record):
 
     @property
     def prompt(self) -> Self:
-        """The same with samples that are never late, as linear loops take them: a little kinder than the truth."""
+        """Return a copy whose samples are never late, for linear loops: slightly optimistic."""
         return self.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
 
     @property
@@ -113,7 +113,7 @@ class Profile(Record):
         return self.delay * self.period + self.steering.dead_time
 
     def numbers(self, period: float) -> Any:
-        """What a controller of this control period (s) knows of it: a row of `core.synthesis.tuning.World`."""
+        """Kernel record of the profile for a controller of this control period (s), `core.synthesis.tuning.World`."""
         return row_of(
             World, self, period=period, computation=self.delay * period, move_weight=self.move_weight * self.period**2
         )

@@ -43,7 +43,7 @@ class Wind(Record):
         return np.stack([self.x.at(t), self.y.at(t)], axis=-1)
 
     def mirrored(self) -> Wind:
-        """The same wind with left and right exchanged."""
+        """Return the wind with left and right exchanged."""
         return self.replace(y=self.y.scaled(-1.0))
 
     def table(self) -> Any:
@@ -92,7 +92,7 @@ class Patch(Record):
         return self
 
     def mirrored(self) -> Patch:
-        """The same patch on the other side of the car."""
+        """Return the patch on the other side of the car."""
         swap = {"left": "right", "right": "left"}
         return self.replace(wheels=re.sub("left|right", lambda side: swap[side[0]], self.wheels))
 

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class Command(NamedTuple):
-    """What one step of a compiled controller gives."""
+    """Result of one step of a compiled controller."""
 
     angle: float
     """rad, steering angle to apply, u(k)"""
@@ -38,7 +38,7 @@ class Command(NamedTuple):
     tuning: tuple[float, ...]
     """as used, in the order of `tuning_names`"""
     diagnostics: Mapping[str, float]
-    """what the law says of itself, by name; NaN where it has nothing to say"""
+    """Diagnostics of the control law by name; NaN where one does not apply."""
 
 
 def command_of(answer: Any, before: float) -> Command:
@@ -80,7 +80,7 @@ FIXED = Bounds(1.0, 1.0, relative=True)
 
 
 class Controller(ABC):
-    """What drives: ours, or one's own, compiled or in Python. Derive from it and write `step`.
+    """Base class of controllers, compiled or in Python. To write one, derive from it and define `step`.
 
     Everything else has a default here, for one that has no memory and nothing to say of itself. `name`, `period` and
     the others may be set on the class or on the object. `check_controller` tells whether one keeps the contract.
@@ -105,7 +105,7 @@ class Controller(ABC):
     tuning_bounds: Mapping[str, Bounds | tuple[float, float]] = MappingProxyType({})
     """Where each of them is sought, (low, high) or `Bounds`; empty: nothing is."""
     diagnostic_names: tuple[str, ...] = ()
-    """What an answer says beside the command, in its `diagnostics`."""
+    """Names of the diagnostics that accompany the command."""
     vehicle: Any = None
     """The car that it was made for, if it says so."""
     limits: Any = None
@@ -115,15 +115,15 @@ class Controller(ABC):
     sees_all_sensors: bool = False
     """Whether `step` is given all that is measured (`core.models.contract.MEASURED`), not four numbers only."""
     scheduler: Any = None
-    """What changes its tuning while it drives; None: nothing."""
+    """Scheduler that changes the tuning while driving; None without one."""
     model: Any = None
     """Its prediction model, if it has one."""
     belief: Any = None
-    """What it believes of the steering, if it says so."""
+    """Steering model that the controller assumes; None if it has none."""
     learner: Any = None
-    """What it learns with; None: it does not learn."""
+    """Estimator of the car's parameters; None if the controller does not learn."""
     learns: str = ""
-    """Whether it learns its car, why, and within what, if it says so."""
+    """Text on whether the controller learns, why, and within which range."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -149,7 +149,7 @@ class Controller(ABC):
         """Forget the past: the next step is the first, from steering angle 0."""
 
     def restart(self) -> None:
-        """Likewise, but what it has learned of its car stays."""
+        """Reset the controller but keep what it has learned of its car."""
         self.reset()
 
     @abstractmethod
@@ -266,14 +266,14 @@ class CompiledController(Controller):
 
     @abstractmethod
     def own_parameters(self) -> Sequence[float] | Array:
-        """What the law's parameters hold behind `core.controllers.contract.COMMON`."""
+        """Return the law's parameters that follow `core.controllers.contract.COMMON`."""
 
     def parameters(self) -> Array:
         """The law's constant numbers."""
         return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
 
     def _made_by(self, kernel: Any, size: int, *more: Any) -> Array:
-        """What a kernel of `core.synthesis.laws` makes of the vehicle behind `COMMON`; size: of all parameters."""
+        """Return the parameters that a kernel of `core.synthesis.laws` computes; size: of all parameters."""
         (low, high), (least, most) = self.limits.move, self.limits.angle
         common = row_of(laws.Common, period=self.period, move_min=low, move_max=high, angle_min=least, angle_max=most)
         found = np.zeros(size)

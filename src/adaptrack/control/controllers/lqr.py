@@ -160,7 +160,7 @@ def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def _parameters(vehicle: Vehicle, period: float, tuning: tuple[float, ...]) -> Array:
-    """What the law's parameters hold behind `core.controllers.contract.COMMON`."""
+    """Return the law's parameters that follow `core.controllers.contract.COMMON`."""
     found = np.zeros(laws.LQR)
     if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), found) == 0:
         raise InvalidInput(_FAR_APART)

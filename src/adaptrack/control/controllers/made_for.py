@@ -15,7 +15,7 @@ _MODEL = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear"
 
 
 def car_of(part: Any) -> str | None:
-    """What a scheduler's file calls the car of a model or a plant; None where it has none.
+    """Return the name of the car of a model or a plant as in a scheduler's file; None without one.
 
     A car that has the name of a shipped one and other numbers in its model is not that one.
     """
@@ -63,6 +63,6 @@ def is_for_published(made_for: Any) -> bool:
 
 
 def _model_of(made_for: Any) -> Any:
-    """What stands in a file for the model that is tuned; a file may say anything."""
+    """Return the file's entry for the tuned model, whatever its type."""
     named = made_for.get("controller") if isinstance(made_for, Mapping) else None
     return named.get("model") if isinstance(named, Mapping) else None

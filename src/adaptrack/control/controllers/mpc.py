@@ -92,7 +92,7 @@ class CompiledScheduler(Scheduler, Protocol):
 
 
 class MPCCommand(NamedTuple):
-    """What one step of the MPC gives."""
+    """Result of one step of the MPC."""
 
     angle: float
     """rad, steering angle to apply, u(k)"""
@@ -113,7 +113,7 @@ class MPCCommand(NamedTuple):
     dead_reckoning: float = 0.0
     """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
     learned: tuple[float, ...] = ()
-    """what a controller that learns has learned, in the order of `core.estimators.learning.BELIEFS`"""
+    """Learned quantities, in the order of `core.estimators.learning.BELIEFS`."""
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
@@ -267,7 +267,7 @@ class MPC(Controller):
 
     @property
     def diagnostic_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """What a step says beside the command: of the QP, and of what has been learned."""
+        """Names of the diagnostics of a step: of the QP and of the learned quantities."""
         if self.learner is None:
             return _DIAGNOSTICS
         return (*_DIAGNOSTICS, *BELIEFS)
@@ -278,7 +278,7 @@ class MPC(Controller):
         return 1.0 if self.learner is None else float(memory_of(self.learner.fresh(), 0).beliefs.used_caution)
 
     def learned(self) -> LearnedCar:
-        """What has been learned of the car so far.
+        """Learned car parameters.
 
         Raises
         ------
@@ -382,7 +382,7 @@ class MPC(Controller):
         )  # fmt: skip
 
     def _turning(self) -> Array:
-        """What the moves of a curved road follow from, `core.controllers.feed_forward.Turning`; or (0,)."""
+        """Rows that compute the moves on a curved road, `core.controllers.feed_forward.Turning`; or (0,)."""
         known = self.model.turning()
         return np.concatenate([known, self.estimator.tyres]) if known.size else known
 
@@ -419,7 +419,7 @@ class MPC(Controller):
             self._mpc.informed.learned[:] = self.learner.again(before[0])
 
     def _load(self) -> None:
-        """What a copy cannot carry along: the lock, addresses, compiled functions."""
+        """Restore the parts that a copy lacks: the lock, addresses, compiled functions."""
         self._lock = threading.Lock()
         self._measured, answer = self._mpc.measured, self._mpc.answer[0]
         self._answer, self._learned = answer[:_ANSWER], answer[_ANSWER:]
@@ -447,7 +447,7 @@ class MPC(Controller):
         return copy.deepcopy(self)
 
     def mismatches(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> list[str]:
-        """What a scheduler was made for and does not find here, see `made_for.mismatches`.
+        """Differences between the scheduler's scope and this controller, see `made_for.mismatches`.
 
         profile: its name; plant: what is driven, whose car may be another than the controller's.
         """
@@ -464,12 +464,12 @@ class MPC(Controller):
 
     @property
     def kind_of_model(self) -> str:
-        """What a scheduler's file calls the model and the estimator behind its tuning."""
+        """Name of the model and estimator in a scheduler's file."""
         return INCREMENTAL if self.is_published else f"{self.model.name}, {self.estimator.name}"
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
-        """What the scheduler did since the last reset, by name, see `core.guard.COUNTS`.
+        """Counters of the scheduler since the last reset, by name, see `core.guard.COUNTS`.
 
         ``raised``: steps at which a scheduler in Python raised an error or answered what is no tuning; the tuning
         before was kept.
@@ -703,7 +703,7 @@ class MPC(Controller):
 
     @cached_property
     def functions(self) -> Any:
-        """What the kernels call for this controller (`core.controllers.mpc.Functions`)."""
+        """Functions that the kernels call for this controller (`core.controllers.mpc.Functions`)."""
         return kernel.functions(discretise=self.model.function, estimate=self.estimator.function)
 
     def _form(self) -> tuple[int, int, int]:

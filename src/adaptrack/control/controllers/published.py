@@ -28,7 +28,7 @@ def published_mpc(vehicle: Vehicle, tuning: Tuning | None = None, *, period: flo
 
 
 def released_mpc(vehicle: Vehicle, tuning: Tuning | None = None, **options: Any) -> MPC:
-    """The same as its authors released it: it moves by ten Laguerre functions with the pole 0.95.
+    """The paper's MPC as its authors released it: it moves by ten Laguerre functions with the pole 0.95.
 
     Raises
     ------

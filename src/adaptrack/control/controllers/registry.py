@@ -20,10 +20,10 @@ SLOW_STEP = 4e-3
 
 @dataclass(frozen=True)
 class About:
-    """What is known of a registered controller before one is made."""
+    """Description of a registered controller, available before one is made."""
 
     words: str = ""
-    """what it is, for readers"""
+    """Description for readers."""
     tunable: bool = True
     """whether its tuning is sought, as far as its `Controller.tuning_bounds` say where"""
     compiled: bool = True
@@ -116,7 +116,7 @@ def get_controller(
 
 
 def about_controller(name: str) -> About:
-    """What is known of a registered controller.
+    """Return the description of a registered controller.
 
     Raises
     ------
