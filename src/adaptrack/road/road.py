@@ -16,7 +16,6 @@ from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
-from adaptrack.core.path import line_numbers
 from adaptrack.core.planning import along as along_kernel
 from adaptrack.core.road import X, Y
 from adaptrack.road.along import ALONG, Along, alongs
@@ -299,10 +298,7 @@ class Road:
 
     @cached_property
     def _packed(self) -> Any:
-        start, pieces = (np.ascontiguousarray(each) for each in self.table)
-        numbers = np.empty(4)
-        line_numbers(start, pieces, self.closed, numbers)
-        return kernel.Centreline(start, pieces, numbers)
+        return self.table.packed(self.closed)
 
     def route(self) -> Any:
         """The road with what lies along it as `adaptrack.core.planning` reads it; read-only."""

@@ -164,6 +164,11 @@ class Cubic(Placed):
             raise ValueError(f"its control points are {reach:.3g} m apart in all: at most {LONGEST:g} m are allowed.")
         return self
 
+    @property
+    def powers(self) -> Array:
+        """(2, 4) m, the coefficients of x and y over a parameter from 0 to 1."""
+        return np.array([self.x, self.y]) * self.end ** np.arange(4.0)
+
 
 Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]
 
