@@ -24,7 +24,7 @@ from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import path
 from adaptrack.core.path import FEWEST, WIDEST
-from adaptrack.core.road import CLOSED, MOST_CURVATURE, project_all
+from adaptrack.core.road import MOST_CURVATURE, project_all
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.road import Road
 from adaptrack.road.segments import FARTHEST, Array, Cubic, Pose
@@ -115,7 +115,7 @@ def fit_road(
     if bound is None:
         bound = MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, NOISES * estimate.noise)
     fit = _bounded_fit(estimate, bound)
-    road, rows = _road(fit.curve, record), estimate.record.rows
+    road, rows = _road(fit, record), estimate.record.rows
     s = np.interp(record.rows, rows, fit.along)
     values = {
         key: _by_place(s, value[:count], road)
@@ -272,14 +272,14 @@ def _sparse_note(points: Array) -> list[str]:
 def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:
     return (
         f"{rows.size} points; largest deviation {fit.deviation:.3g} m, at point {rows[fit.distances.argmax()]}; "
-        f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m; smoothing length {fit.curve.scale:.3g} m"
+        f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m; smoothing length {fit.scale:.3g} m"
     )
 
 
 def _bound_note(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
     """A note where the bound and not the noise chose the smoothing length."""
     scale = float(estimate.scales[estimate.best])
-    if fit.curve.scale >= scale:
+    if fit.scale >= scale:
         return []
     noise = "" if math.isnan(estimate.noise) else f" of {estimate.noise:.2g} m"
     return [
@@ -377,37 +377,14 @@ def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
 
 
 # -- the fit ----------------------------------------------------------------------------------------------------------
-class _Curve(NamedTuple):
-    """A curve near a record, about the origin of that record."""
+class _Fit(NamedTuple):
+    """A curve near points, about the origin of their record."""
 
     scale: float
-    """m, its smoothing length"""
+    """m, the smoothing length"""
     powers: Array
-    """(count, 2, 4) m"""
+    """(count, 2, 4) m, its cubics"""
     table: Pieces
-    line: Any
-    """`core.road.Centreline` of the table"""
-    knots: Array
-    """(count + 1,) m, arc lengths of the knots"""
-    length: float
-    """m, over which its smoother has the places of points"""
-
-    def feet(self, points: Array, places: Array) -> tuple[Array, Array]:
-        """(n,) m, arc lengths of the feet of points near their places, and the distances of the points."""
-        laps = np.floor(places / self.length) if self.line.numbers[CLOSED] else np.zeros_like(places)
-        knots = np.linspace(0.0, self.length, self.knots.size)
-        near = laps * self.table.length + np.interp(places - laps * self.length, knots, self.knots)
-        feet = np.empty((len(points), 4))
-        project_all(self.line, np.column_stack([points, near]), feet)
-        s, offset = feet[:, 0], np.where(np.isnan(feet[:, 1]), np.inf, feet[:, 1])
-        beyond = 0.0 if self.line.numbers[CLOSED] else s - np.clip(s, 0.0, self.table.length)
-        return s.copy(), np.hypot(offset, beyond)
-
-
-class _Fit(NamedTuple):
-    """A curve with the points of its record."""
-
-    curve: _Curve
     along: Array
     """(n,) m, arc length of each point's foot"""
     distances: Array
@@ -468,9 +445,9 @@ def _calm(estimate: _Estimate, record: _Record, out: NDArray[np.bool_]) -> tuple
     """(n,) m, the distances of all points from a curve that is too smooth to follow a few, and the noise about it."""
     places = np.interp(record.rows, estimate.record.rows, estimate.smoother.places)
     scale = max(float(estimate.scales[estimate.best]), CALM * estimate.smoother.spacing)
-    curve = _first_curve(estimate.smoother, [scale, *estimate.scales[estimate.scales > scale]])
-    distances = curve.feet(record.points - record.origin, places)[1]
-    return distances, _noise(distances[~out], estimate.smoother.score(curve.scale).used)
+    scales = [scale, *estimate.scales[estimate.scales > scale]]
+    fit = _first_fit(estimate.smoother, scales, record.points - record.origin, places)
+    return fit.distances, _noise(fit.distances[~out], estimate.smoother.score(fit.scale).used)
 
 
 def _noise(distances: Array, used: float) -> float:
@@ -499,17 +476,15 @@ def _placed(record: _Record, smoothest: bool = False) -> _Estimate:
     best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing)
-        curve = _first_curve(smoother, scales[LENGTHS - 1 if smoothest else _least(smoother, scales, best) :])
-        best = int(np.searchsorted(scales, curve.scale))
-        places, distances = curve.feet(points, places)
-        length = curve.table.length
+        first = LENGTHS - 1 if smoothest else _least(smoother, scales, best)
+        fit = _first_fit(smoother, scales[first:], points, places)
+        best, places, length = int(np.searchsorted(scales, fit.scale)), fit.along, fit.table.length
         if not record.closed:
-            places -= places.min()
-    assert best is not None
-    used = math.inf if smoothest else smoother.score(float(scales[best])).used
-    noise = _noise(distances, used) if used < MEASURABLE * len(points) else math.nan
+            places = places - places.min()
+    used = math.inf if smoothest else smoother.score(fit.scale).used
+    noise = _noise(fit.distances, used) if used < MEASURABLE * len(points) else math.nan
     smoother = Smoother(points, places, length, record.closed, spacing)
-    return _Estimate(record, smoother, scales, best, distances, noise)
+    return _Estimate(record, smoother, scales, int(np.searchsorted(scales, fit.scale)), fit.distances, noise)
 
 
 def _least(smoother: Smoother, scales: Array, start: int | None) -> int:
@@ -529,17 +504,20 @@ def _least(smoother: Smoother, scales: Array, start: int | None) -> int:
         best = near
 
 
-def _first_curve(smoother: Smoother, scales: Iterable[float]) -> _Curve:
-    """The curve of the first smoothing length whose curve does not fold."""
+def _first_fit(smoother: Smoother, scales: Iterable[float], points: Array, places: Array) -> _Fit:
+    """The fit of the first smoothing length whose curve does not fold."""
     for scale in scales:
-        curve = _curve(smoother, float(scale))
-        if curve is not None:
-            return curve
+        fit = _fit_of(smoother, float(scale), points, places)
+        if fit is not None:
+            return fit
     raise InvalidInput("fit_road: the points fold back on themselves: give them in the order in which they are driven.")
 
 
-def _curve(smoother: Smoother, scale: float) -> _Curve | None:
-    """The curve of a smoothing length; None where it has a cusp, or turns as hard as only noise does."""
+def _fit_of(smoother: Smoother, scale: float, points: Array, places: Array) -> _Fit | None:
+    """The curve of a smoothing length, with the feet of points near their places.
+
+    None where it has a cusp, or turns as hard as only noise does.
+    """
     powers = smoother.powers(scale)
     try:
         table, knots = cubic_line(powers)
@@ -548,7 +526,14 @@ def _curve(smoother: Smoother, scale: float) -> _Curve | None:
     line = table.packed(smoother.closed)
     if line.numbers[MOST_CURVATURE] * table.length > FOLD * len(powers):
         return None
-    return _Curve(scale, powers, table, line, knots, smoother.length)
+    laps = np.floor(places / smoother.length) if smoother.closed else np.zeros_like(places)
+    parameters = np.linspace(0.0, smoother.length, knots.size)
+    near = laps * table.length + np.interp(places - laps * smoother.length, parameters, knots)
+    feet = np.empty((len(points), 4))
+    project_all(line, np.column_stack([points, near]), feet)
+    s, offset = feet[:, 0].copy(), np.where(np.isnan(feet[:, 1]), np.inf, feet[:, 1])
+    beyond = 0.0 if smoother.closed else s - np.clip(s, 0.0, table.length)
+    return _Fit(scale, powers, table, s, np.hypot(offset, beyond))
 
 
 def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
@@ -563,7 +548,7 @@ def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
             best = int(np.searchsorted(scales, longest, "right")) - 1
         low, high, middle, fit = -1, best + 1, best, None
         while high - low > 1:
-            trial = _fit_of(smoother, float(scales[middle]))
+            trial = _fit_of(smoother, float(scales[middle]), smoother.points, smoother.places)
             deviation = math.inf if trial is None else trial.deviation
             if trial is not None and deviation < nearest:
                 nearest, worst = deviation, int(trial.distances.argmax())
@@ -578,19 +563,13 @@ def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
     )
 
 
-def _fit_of(smoother: Smoother, scale: float) -> _Fit | None:
-    """The curve of a smoothing length near the points; None where it folds."""
-    curve = _curve(smoother, scale)
-    return None if curve is None else _Fit(curve, *curve.feet(smoother.points, smoother.places))
-
-
-def _road(curve: _Curve, record: _Record) -> Road:
-    """The road of a curve about the origin of its record; each element in a frame at its begin keeps all digits."""
-    starts = curve.powers[:, :, 0] + record.origin
-    curve.powers[:, :, 0] = 0.0
+def _road(fit: _Fit, record: _Record) -> Road:
+    """The road of a fit; each element in a frame at its begin keeps all digits."""
+    starts = fit.powers[:, :, 0] + record.origin
+    fit.powers[:, :, 0] = 0.0
     cubics = tuple(
         Cubic(x=tuple(x), y=tuple(y), start=(*start, 0.0))
-        for (x, y), start in zip(curve.powers.tolist(), starts.tolist(), strict=True)
+        for (x, y), start in zip(fit.powers.tolist(), starts.tolist(), strict=True)
     )
-    table = placed(curve.table, Pose(*record.origin.tolist()))
+    table = placed(fit.table, Pose(*record.origin.tolist()))
     return Road(name="points", table=table, closed=record.closed, elements=cubics)
