@@ -72,7 +72,10 @@ def test_the_curve_is_the_least_of_the_sum_that_it_is_said_to_minimise(closed, s
         basis, rough = basis @ once, rough @ once
     weight = (scale / (2.0 * math.pi)) ** 6 * n / length
     hat = np.linalg.solve(basis.T @ basis + weight * rough.T @ rough, basis.T)
-    np.testing.assert_allclose(smoother.curve(scale).at(places)[0], basis @ hat @ points, atol=1e-8)
+    piece = np.minimum((places / knot).astype(int), count - 1)
+    p = places / knot - piece
+    curve = np.einsum("nij,nj->ni", smoother.powers(scale)[piece], p[:, np.newaxis] ** np.arange(4))
+    np.testing.assert_allclose(curve, basis @ hat @ points, atol=1e-8)
     assert smoother.score(scale).used == pytest.approx(np.trace(basis @ hat))
 
 

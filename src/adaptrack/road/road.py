@@ -25,8 +25,8 @@ from adaptrack.road.toml import write_road
 
 GAP, KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
-JUMP = 1e-6
-"""1/m, a change of curvature at one place that counts as a jump."""
+JUMP = 1e-4
+"""1/m, a change of curvature at one place that counts as a jump; a line through samples has smaller ones."""
 HALF_LANE = Along.constant(1.75)
 """m, half of a lane of 3.5 m: the width to each side where nothing is said."""
 DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
