@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
@@ -64,29 +65,20 @@ class Pieces(NamedTuple):
 
 def of_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
-    along = _horner(piece[..., ALONG:ACROSS], u)
-    across = _horner(piece[..., ACROSS:TURNED], u)
+    along = _polynomial(piece[..., ALONG:ACROSS], u)
+    across = _polynomial(piece[..., ACROSS:TURNED], u)
     cos, sin = piece[..., COS], piece[..., SIN]
     return Points(
         piece[..., X] + cos * along - sin * across,
         piece[..., Y] + sin * along + cos * across,
-        piece[..., HEADING] + _horner(piece[..., TURNED:COLUMNS], u),
-        _horner_slope(piece[..., TURNED:COLUMNS], u) / piece[..., HALF],
+        piece[..., HEADING] + _polynomial(piece[..., TURNED:COLUMNS], u),
+        _polynomial(polyder(piece[..., TURNED:COLUMNS], axis=-1), u) / piece[..., HALF],
     )
 
 
-def _horner(coefficients: Array, u: Array) -> Array:
-    value = coefficients[..., DEGREE]
-    for k in range(DEGREE - 1, -1, -1):
-        value = value * u + coefficients[..., k]
-    return value
-
-
-def _horner_slope(coefficients: Array, u: Array) -> Array:
-    value = DEGREE * coefficients[..., DEGREE]
-    for k in range(DEGREE - 1, 0, -1):
-        value = value * u + k * coefficients[..., k]
-    return value
+def _polynomial(coefficients: Array, u: Array) -> Array:
+    """Polynomials of coefficients (..., n) at u (...)."""
+    return np.asarray(polyval(u, np.moveaxis(coefficients, -1, 0), tensor=False))
 
 
 # -- from elements ----------------------------------------------------------------------------------------------------
@@ -135,7 +127,7 @@ def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
 
 def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
-    turns = _horner(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
@@ -205,7 +197,7 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
     start = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = _horner(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
     whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
     pieces[1:, HEADING] -= 2.0 * np.pi * whole
