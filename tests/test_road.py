@@ -12,7 +12,7 @@ from adaptrack.core import road as kernel
 from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
 from adaptrack.road.opendrive_lanes import line_at_offset
 from adaptrack.road.table import joined, placed, tabulate
-from references.road import beside, coarse_samples, end_of, feet_by_search, figure_of_eight, nearest_by_search
+from references.road import beside, coarse_samples, end_of, feet_by_search, figure_of_eight
 
 pytestmark = pytest.mark.kernels
 
@@ -67,19 +67,16 @@ def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
         assert float(found.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
 
 
-@pytest.mark.parametrize("offset", [2.0, -3.5])
-def test_a_line_beside_a_clothoid_is_its_parallel(offset):
+def test_a_line_beside_a_clothoid_is_its_parallel():
     """By samples: within 1 mm, and 1 % of the curvature."""
     (base,) = tabulate([BEND])
-    side, base_s, parallel = line_at_offset(base, [0.0], np.array([[offset, 0.0, 0.0, 0.0]]))
-    curvature = 0.05 * base_s / 60.0
-    assert np.abs(parallel - (base_s - offset * 0.05 * base_s**2 / 120.0)).max() < 1e-3
-    np.testing.assert_allclose(
-        side.at(parallel).curvature, curvature / (1.0 - offset * curvature), rtol=0.01, atol=1e-6
-    )
-    np.testing.assert_allclose(
-        side.at(parallel).x, BEND.at(base_s).x - offset * np.sin(BEND.at(base_s).heading), atol=1e-3
-    )
+    for offset in (2.0, -3.5):
+        side, s, parallel = line_at_offset(base, [0.0], np.array([[offset, 0.0, 0.0, 0.0]]))
+        curvature, points = 0.05 * s / 60.0, BEND.at(s)
+        assert np.abs(parallel - (s - offset * 0.05 * s**2 / 120.0)).max() < 1e-3
+        exact = curvature / (1.0 - offset * curvature)
+        np.testing.assert_allclose(side.at(parallel).curvature, exact, rtol=0.01, atol=1e-6)
+        np.testing.assert_allclose(side.at(parallel).x, points.x - offset * np.sin(points.heading), atol=1e-3)
 
 
 def test_the_curvature_beside_a_road_is_the_change_of_its_heading_where_the_distance_changes():
@@ -178,35 +175,6 @@ def test_edges_are_at_their_widths_on_the_normal():
 
 
 # -- projection -------------------------------------------------------------------------------------------------------
-@pytest.mark.compiled
-@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic"])
-def test_the_foot_is_the_nearest_point_of_a_search_millimetre_by_millimetre(kind, rng):
-    if kind == "cubic":
-        road = Road.from_segments([CUBIC, Line(length=20.0)])
-    else:
-        road = eight() if kind == "eight" else generate_road(kind, seed=5, length=1200.0)
-    s = rng.uniform(0.0, road.length, 60)
-    offset = rng.uniform(-0.9, 0.9, s.size) * np.minimum(6.0, 1.0 / np.maximum(np.abs(road.at(s).curvature), 1e-9))
-    x, y = beside(road, s, offset)
-    foot = road.project(x, y)
-    place = road.at(foot.s)
-    ahead = (place.x - x) * np.cos(place.heading) + (place.y - y) * np.sin(place.heading)
-    assert np.abs(ahead).max() <= 1e-9
-    for i in range(s.size):
-        s_found, distance = nearest_by_search(road, x[i], y[i])
-        if 0.0 < s_found < road.length:
-            assert abs(abs(foot.offset[i]) - distance) < 1e-5, (i, foot.s[i], s_found)
-            assert distance >= abs(foot.offset[i]) - 1e-9
-
-
-def test_the_kernel_and_the_table_agree_on_points_at_any_arc_length(rng):
-    for road in (generate_road("lap", seed=1, length=700.0), Road.from_segments([CUBIC, Line(length=5.0)])):
-        s = rng.uniform(-2.0 * road.length, 3.0 * road.length, 50)
-        found = np.empty((s.size, 4))
-        kernel.points_at(road.packed(), s, found)
-        np.testing.assert_allclose(found.T, road.at(s), rtol=0, atol=1e-10)
-
-
 def test_three_laps_of_a_road_that_crosses_itself_are_followed_without_a_jump():
     road = eight()
     s = np.arange(0.0, 3.0 * road.length, 0.7)
@@ -285,15 +253,21 @@ def test_the_foot_is_the_minimum_of_distance_nearest_in_arc_length(road, rng):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("road", [TIGHT, ROUND], ids=["tight", "round"])
-def test_no_place_of_a_road_is_nearer_to_a_far_point_than_its_foot(road, rng):
-    x, y, _ = around(road, 1000.0, 150, rng)
-    foot = road.project(x, y)
-    end = road.at(foot.s if road.closed else np.clip(foot.s, 0.0, road.length))
-    _, px, py = coarse_samples(road)
-    least = np.hypot(px - x[:, np.newaxis], py - y[:, np.newaxis]).min(axis=1)
-    assert np.isfinite(foot.offset).all()
-    assert (np.hypot(end.x - x, end.y - y) <= least + 1e-9).all()
+@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic", "tight", "round"])
+def test_no_place_of_a_road_is_nearer_to_a_point_than_its_foot(kind, rng):
+    roads = {"eight": eight(), "cubic": Road.from_segments([CUBIC, Line(length=20.0)]), "tight": TIGHT, "round": ROUND}
+    road = roads[kind] if kind in roads else generate_road(kind, seed=5, length=1200.0)
+    for furthest in (5.0, 1000.0):
+        x, y, _ = around(road, furthest, 100, rng)
+        foot = road.project(x, y)
+        assert np.isfinite(foot.offset).all()
+        place = road.at(foot.s)
+        ahead = (place.x - x) * np.cos(place.heading) + (place.y - y) * np.sin(place.heading)
+        assert np.abs(ahead).max() <= 1e-9 * furthest
+        end = road.at(foot.s if road.closed else np.clip(foot.s, 0.0, road.length))
+        _, px, py = coarse_samples(road, 0.05)
+        least = np.hypot(px - x[:, np.newaxis], py - y[:, np.newaxis]).min(axis=1)
+        assert (np.hypot(end.x - x, end.y - y) <= least + 1e-9).all()
 
 
 def test_every_place_of_a_circle_is_a_foot_of_its_centre():
@@ -303,15 +277,14 @@ def test_every_place_of_a_circle_is_a_foot_of_its_centre():
     assert abs(float(foot.s) + 1000.0) <= 400.0
 
 
-def test_the_table_of_headings_is_that_of_the_road_to_the_bit():
+def test_kernels_and_the_table_agree_on_points_headings_and_the_bound_of_the_curvature(rng):
     for road in (TIGHT, ROUND, eight(), Road.from_segments([CUBIC, Line(length=20.0)])):
-        headings = np.empty(200)
+        headings, s = np.empty(200), rng.uniform(-2.0 * road.length, 3.0 * road.length, 50)
         kernel.headings_along(road.packed(), headings)
         assert np.array_equal(headings, road.at(np.linspace(0.0, road.length, 200)).heading)
-
-
-def test_no_curvature_exceeds_its_bound():
-    for road in (TIGHT, eight(), generate_road("town", seed=1, length=500.0), Road.from_segments([CUBIC])):
+        points = np.empty((s.size, 4))
+        kernel.points_at(road.packed(), s, points)
+        np.testing.assert_allclose(points.T, road.at(s), rtol=0, atol=1e-10)
         most = np.abs(road.at(np.arange(0.0, road.length, 0.1)).curvature).max()
         assert most <= road.packed().numbers[kernel.MOST_CURVATURE] * (1.0 + 1e-12) <= 2.0 * most
 
@@ -338,42 +311,14 @@ def test_a_generated_road_is_of_its_kind_and_its_seed(kind):
     assert road.closed is (kind == "lap")
 
 
-def test_a_generated_road_keeps_off_itself():
-    for seed in range(4):
-        road = generate_road("mountain", seed, length=2500.0)
-        s = np.arange(0.0, road.length, 2.0)
-        p = road.at(s)
-        far = np.abs(s[:, None] - s) > 40.0
-        assert np.hypot(p.x[:, None] - p.x, p.y[:, None] - p.y)[far].min() > 6.0
-
-
-def test_a_mountain_road_of_twenty_kilometres_keeps_off_itself():
-    road = generate_road("mountain", 1, length=20_000.0)
-    assert 20_000.0 <= road.length < 20_500.0
+@pytest.mark.parametrize("length", [2_500.0, 20_000.0])
+def test_a_mountain_road_keeps_off_itself(length):
+    """Drawn whole, and grown bend by bend."""
+    road = generate_road("mountain", 1, length=length)
+    assert length <= road.length < length + 500.0
     assert road.curvature_jumps() == []
     s = np.arange(0.0, road.length, 1.0)
     points = road.at(s)
     near = cKDTree(np.stack(points[:2], axis=-1)).query_pairs(6.0, output_type="ndarray")
     assert np.abs(s[near[:, 0]] - s[near[:, 1]]).max() < 40.0
-    assert (np.abs(points.curvature) > 1.0 / 15.5).sum() > 500  # hairpins are left in it
-
-
-def test_a_road_through_points_of_a_clothoid_is_the_clothoid():
-    """Its length, heading and place to what a cubic spline of 1 m leaves, and each point of it exactly."""
-    true = Road.from_segments([Clothoid(length=90.0, start_curvature=-0.005, end_curvature=0.02)])
-    points = true.at(np.arange(91.0))
-    road = road_through(np.stack([points.x, points.y], axis=-1))
-    assert road.length == pytest.approx(90.0, abs=1e-6)
-    feet = road.project(points.x, points.y)
-    assert np.abs(feet.offset).max() < 1e-9
-    s = np.linspace(0.0, 90.0, 400)
-    assert np.abs(road.at(s).heading - true.at(s).heading).max() < 1e-5
-    assert road.curvature_jumps() == []
-
-
-def test_a_lap_through_points_closes():
-    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
-    road = road_through(30.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1), closed=True, name="ring")
-    assert road.length == pytest.approx(60.0 * np.pi, rel=1e-6)
-    assert road.turn == pytest.approx(2.0 * np.pi)
-    assert road.curvature_jumps() == []
+    assert (np.abs(points.curvature) > 1.0 / 15.5).sum() > 0.02 * length  # hairpins are left in it

@@ -411,11 +411,12 @@ class TestPackPlant:
 
         assert forces.GRAVITY == GRAVITY
 
-    def test_describing_a_car_loads_no_compiler(self, run_python):
+    def test_describing_a_car_and_a_scenario_loads_no_compiler(self, run_python):
         loaded = run_python(
-            code="import sys; from adaptrack.cars.vehicle import load_vehicle as f; f('paper'); print(*sys.modules)"
+            code="import sys; from adaptrack.cars.vehicle import load_vehicle; load_vehicle('paper');"
+            "from adaptrack.scenario import load_scenario; load_scenario('general-trajectory'); print(*sys.modules)"
         )
-        assert not {"numba", "llvmlite", "scipy"} & set(loaded.split())
+        assert not {"numba", "llvmlite", "scipy", "matplotlib", "sklearn"} & set(loaded.split())
 
 
 class TestPage:
@@ -528,15 +529,6 @@ class TestOwnFiles:
         assert "stiffness_rear: missing; give a finite number > 0" in message
         for key in ("mas", "mass", "yaw_inertia", "lf", "lr", "tyre", "stiffness_front", "brake_front"):
             assert re.search(rf"^  {key}( = |: )", message, re.MULTILINE), key
-
-    def test_a_problem_that_involves_two_keys_comes_with_the_others(self, tmp_path):
-        text = (
-            'kind = "lineer"\nstiffness_front = 1\nstiffness_rear = 1\nnominal_load = 1\nstiffness_load = "digressive"'
-        )
-        with pytest.raises(
-            ConfigError, match=r"(?s)2 problems.*kind = 'lineer': must be one of.*digressive_load_ratio: "
-        ):
-            load_tyre(self.write(tmp_path, text))
 
     @pytest.mark.parametrize("path", ["absent.toml", "."])
     def test_a_file_that_cannot_be_read_is_a_storage_error(self, tmp_path, path):
