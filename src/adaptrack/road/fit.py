@@ -104,11 +104,11 @@ def fit_road(
     InvalidInput
         When points are too few, not finite, all the same or too far apart, or no curve comes as near as requested.
     """
-    points = _checked("fit_road", points, SHORTEST)
-    count, lap, notes = _lap(points, closed)
+    points = _check_points("fit_road", points, SHORTEST)
+    count, lap, notes = _find_lap(points, closed)
     record = _Record(points[:count], np.arange(count), points[:count].mean(axis=0), lap)
     if smoothest:
-        estimate, outliers = _placed(record, smoothest), np.zeros(count, dtype=bool)
+        estimate, outliers = _estimate(record, smoothest), np.zeros(count, dtype=bool)
     else:
         estimate, outliers = _cross_validated(record, max_deviation is None)
     bound = max_deviation
@@ -118,13 +118,13 @@ def fit_road(
     road, rows = _road(fit, record), estimate.record.rows
     s = np.interp(record.rows, rows, fit.along)
     values = {
-        key: _by_place(s, value[:count], road)
+        key: _sort_by_arc_length(s, value[:count], road)
         if isinstance(value, np.ndarray) and value.shape == (len(points),)
         else value
         for key, value in along.items()
     }
-    notes = [*_sparse_note(points), *notes, *_outlier_note(road, record.points, s, outliers)]
-    notes += [] if smoothest else _bound_note(estimate, fit, bound)
+    notes = [*_spacing_notes(points), *notes, *_outlier_notes(road, record.points, s, outliers)]
+    notes += [] if smoothest else _bound_notes(estimate, fit, bound)
     notes.append(_fit_note(fit, rows))
     return replace(road, name=name, notes=tuple(notes), deviation=fit.deviation, **alongs(values))
 
@@ -154,7 +154,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     InvalidInput
         When points are too few, not finite, or fold back on themselves.
     """
-    points = _checked("road_through", points, path.SHORTEST)
+    points = _check_points("road_through", points, path.SHORTEST)
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
@@ -193,7 +193,7 @@ _FLAWS = {
     path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
     path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",
 }
-"""What there is to say of what `_checked` lets pass."""
+"""Messages on points that `_check_points` lets pass."""
 
 
 def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) -> Road:
@@ -214,15 +214,15 @@ def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) ->
         smoothest=True,
     )  # fmt: skip
     stretch = fitted.length / road.length
-    moved: dict[str, Any] = {name: _stretched(getattr(road, name), stretch) for name in ALONG}
+    moved: dict[str, Any] = {name: _stretch(getattr(road, name), stretch) for name in ALONG}
     return replace(fitted, **moved)
 
 
-def _stretched(along: Along | None, factor: float) -> Along | None:
+def _stretch(along: Along | None, factor: float) -> Along | None:
     return None if along is None else along.replace(s=tuple(factor * s for s in along.s))
 
 
-def _checked(where: str, points: ArrayLike, shortest: float) -> Array:
+def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
     points = reals(f"{where}: points", points).copy()
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
         raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
@@ -259,7 +259,7 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
         )
 
 
-def _sparse_note(points: Array) -> list[str]:
+def _spacing_notes(points: Array) -> list[str]:
     """A note on points far apart: a record in centimetres looks like that."""
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
     if spacing <= SPARSE:
@@ -276,7 +276,7 @@ def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:
     )
 
 
-def _bound_note(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
+def _bound_notes(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
     """A note where the bound and not the noise chose the smoothing length."""
     scale = float(estimate.scales[estimate.best])
     if fit.scale >= scale:
@@ -288,7 +288,7 @@ def _bound_note(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
     ]
 
 
-def _outlier_note(road: Road, points: Array, s: Array, outliers: NDArray[np.bool_]) -> list[str]:
+def _outlier_notes(road: Road, points: Array, s: Array, outliers: NDArray[np.bool_]) -> list[str]:
     """A note on the points that were left out, with their distances from the road at arc lengths s (n,) m."""
     rows = np.flatnonzero(outliers)
     foot = road.at(s[rows])
@@ -302,7 +302,7 @@ def _first_few(texts: list[str]) -> str:
     return ", ".join([*texts[:MOST_NAMED], *rest])
 
 
-def _by_place(s: Array, values: Array, road: Road) -> tuple[Array, Array]:
+def _sort_by_arc_length(s: Array, values: Array, road: Road) -> tuple[Array, Array]:
     """Values at arc lengths s (n,) m in their order; of several at one place the last one counts."""
     if road.closed:
         s = np.mod(s, road.length)
@@ -340,40 +340,36 @@ class _Record:
         return _Record(self.points[~out], self.rows[~out], self.origin, self.closed)
 
 
-def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
-    """How many points make the road, whether it is a lap, and what there is to say about it.
+def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
+    """The number of points that make the road, whether it is a lap, and notes.
 
-    A lap is closed where the record is back within twice the usual distance of its points (3 m at least) of its start,
+    A lap is closed where the record is back within twice the median distance of its points (3 m at least) of its start,
     in the direction of its start (within 60 degrees), after ten times that distance.
     """
     steps = np.diff(points, axis=0)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
-    usual = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
-    near = max(2.0 * usual, 3.0)
-    whole = np.concatenate([[0.0], np.cumsum(lengths)])
-    start = points[int(np.searchsorted(whole, min(near, 0.2 * whole[-1])))] - points[0]
+    spacing = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
+    near = max(2.0 * spacing, 3.0)
+    s = np.concatenate([[0.0], np.cumsum(lengths)])
+    start = points[int(np.searchsorted(s, min(near, 0.2 * s[-1])))] - points[0]
     distance = np.hypot(*(points - points[0]).T)
-    back = (distance < near) & (whole > 10.0 * near)
+    back = np.flatnonzero((distance < near) & (s > 10.0 * near))
     ahead = np.concatenate([steps, steps[-1:]])
-    ahead[-1] = points[-1] - points[np.searchsorted(whole, whole[-1] - near)]
+    ahead[-1] = points[-1] - points[np.searchsorted(s, s[-1] - near)]
     with np.errstate(invalid="ignore"):
-        same = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
-    passes = np.split(np.flatnonzero(back), np.flatnonzero(np.diff(np.flatnonzero(back)) > 1) + 1)
-    first = next((each for each in passes if same[each].any()), np.empty(0, dtype=np.int64))
-    if closed is None:
-        closed = first.size > 0
-    if not closed:
+        aligned = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
+    passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
+    first = next((rows for rows in passes if aligned[rows].any()), np.empty(0, dtype=np.int64))
+    if not (first.size > 0 if closed is None else closed):
         return len(points), False, []
-    kept = len(points)
+    count = len(points)
     if first.size:  # the point before the start
         beside = (points[first] - points[0]) @ start / np.hypot(*start)
-        before = first[beside < -1e-3 * usual]
-        kept = int(before[-1]) + 1 if before.size else int(first[0])
-    rest = float(whole[-1] - whole[kept - 1])
-    said = ["a closed lap"]
-    if rest > 2.0 * near:
-        said.append(f"the record goes on for {rest:.0f} m beyond its start: left out")
-    return kept, True, said
+        before = first[beside < -1e-3 * spacing]
+        count = int(before[-1]) + 1 if before.size else int(first[0])
+    rest = float(s[-1] - s[count - 1])
+    excess = [f"the record goes on for {rest:.0f} m beyond its start: left out"] if rest > 2.0 * near else []
+    return count, True, ["a closed lap", *excess]
 
 
 # -- the fit ----------------------------------------------------------------------------------------------------------
@@ -414,34 +410,34 @@ class _Estimate:
 
 def _cross_validated(record: _Record, robust: bool) -> tuple[_Estimate, NDArray[np.bool_]]:
     """The smoothing length that cross-validation chooses, and the outliers that it leaves out if it is robust."""
-    outliers = _spikes(record.points) if robust else np.zeros(len(record.points), dtype=bool)
-    estimate = _placed(record.without(outliers))
+    outliers = _find_spikes(record.points) if robust else np.zeros(len(record.points), dtype=bool)
+    estimate = _estimate(record.without(outliers))
     if not robust:
         return estimate, outliers
     for _ in range(ROUNDS):
-        distances, noise = _calm(estimate, record, outliers)
+        distances, noise = _robust_distances(estimate, record, outliers)
         far = distances > max(MAX_DEVIATION, NOISES * noise)
         if (far == outliers).all() or far.mean() > SHARE:
             break
         outliers = far
-        estimate = _placed(record.without(outliers))
-    lonely = _lonely(outliers, *_calm(estimate, record, outliers))
-    return (estimate if (lonely == outliers).all() else _placed(record.without(lonely))), lonely
+        estimate = _estimate(record.without(outliers))
+    lonely = _isolated(outliers, *_robust_distances(estimate, record, outliers))
+    return (estimate if (lonely == outliers).all() else _estimate(record.without(lonely))), lonely
 
 
-def _spikes(points: Array) -> NDArray[np.bool_]:
-    """Short rows of points to which the record leaps, and from which it leaps back."""
-    out = np.zeros(len(points), dtype=bool)
+def _find_spikes(points: Array) -> NDArray[np.bool_]:
+    """Mark short rows of points to which the record leaps, and from which it leaps back."""
+    spikes = np.zeros(len(points), dtype=bool)
     steps = np.hypot(*np.diff(points, axis=0).T)
     leaps = np.flatnonzero(steps > LEAP * scipy.ndimage.median_filter(steps, 4 * IN_A_ROW + 1, mode="nearest"))
     for there, back in itertools.pairwise(leaps):
         bridge = math.dist(points[there], points[back + 1])
         if back - there <= IN_A_ROW and LEAP * bridge < steps[there : back + 1].sum():
-            out[there + 1 : back + 1] = True
-    return out
+            spikes[there + 1 : back + 1] = True
+    return spikes
 
 
-def _calm(estimate: _Estimate, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
+def _robust_distances(estimate: _Estimate, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
     """(n,) m, the distances of all points from a curve that is too smooth to follow a few, and the noise about it."""
     places = np.interp(record.rows, estimate.record.rows, estimate.smoother.places)
     scale = max(float(estimate.scales[estimate.best]), CALM * estimate.smoother.spacing)
@@ -455,8 +451,8 @@ def _noise(distances: Array, used: float) -> float:
     return 1.4826 * float(np.median(distances)) / math.sqrt(max(1.0 - used / distances.size, 0.1))
 
 
-def _lonely(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[np.bool_]:
-    """Those in short rows whose neighbours lie on the curve: not the points of a bend that it cuts."""
+def _isolated(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[np.bool_]:
+    """The outliers in short rows whose neighbours lie on the curve: not the points of a bend that it cuts."""
     lonely = np.zeros_like(out)
     rows = np.flatnonzero(out)
     for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
@@ -467,8 +463,8 @@ def _lonely(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[n
     return lonely
 
 
-def _placed(record: _Record, smoothest: bool = False) -> _Estimate:
-    """The smoothing length and the places of the points, one found from the other."""
+def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
+    """The smoothing length and the places of the points, each from the other in turn."""
     points = record.points - record.origin
     places, length = record.first_places()
     spacing = max(length / len(points), SHORTEST_KNOTS)
@@ -476,7 +472,7 @@ def _placed(record: _Record, smoothest: bool = False) -> _Estimate:
     best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing)
-        first = LENGTHS - 1 if smoothest else _least(smoother, scales, best)
+        first = LENGTHS - 1 if smoothest else _best_scale(smoother, scales, best)
         fit = _first_fit(smoother, scales[first:], points, places)
         best, places, length = int(np.searchsorted(scales, fit.scale)), fit.along, fit.table.length
         if not record.closed:
@@ -487,7 +483,7 @@ def _placed(record: _Record, smoothest: bool = False) -> _Estimate:
     return _Estimate(record, smoother, scales, int(np.searchsorted(scales, fit.scale)), fit.distances, noise)
 
 
-def _least(smoother: Smoother, scales: Array, start: int | None) -> int:
+def _best_scale(smoother: Smoother, scales: Array, start: int | None) -> int:
     """The smoothing length with the least score, downhill from one, or from the least of a few."""
     scores: dict[int, float] = {}
 
