@@ -76,7 +76,7 @@ def of_pieces(piece: Array, u: Array) -> Points:
     )
 
 
-def _polynomial(coefficients: Array, u: Array) -> Array:
+def _polynomial(coefficients: NDArray[Any], u: Array) -> Array:
     """Polynomials of coefficients (..., n) at u (...)."""
     return np.asarray(polyval(u, np.moveaxis(coefficients, -1, 0), tensor=False))
 

@@ -162,13 +162,12 @@ class Knots(Shape):
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
         when, y, slope = self._curve.t, self._curve.y, self._curve.slope
-        t = np.asarray(t, dtype=np.float64)
+        inside: Array = np.clip(np.asarray(t, dtype=np.float64), when[0], when[-1])
         if self.method == "linear" or when.size == 1:
-            return np.asarray(np.interp(t, when, y))
-        t = np.clip(t, when[0], when[-1])
-        k = np.clip(np.searchsorted(when, t, side="right") - 1, 0, when.size - 2)
+            return np.asarray(np.interp(inside, when, y))
+        k = np.clip(np.searchsorted(when, inside, side="right") - 1, 0, when.size - 2)
         step = when[k + 1] - when[k]
-        s = (t - when[k]) / step
+        s = (inside - when[k]) / step
         r = 1.0 - s
         return (
             r * r * (1.0 + 2.0 * s) * y[k]
