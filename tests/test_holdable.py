@@ -81,8 +81,6 @@ def test_the_saloon_holds_less_braking_the_faster_it_is_and_more_with_friction(c
     assert (np.diff(straight) <= 1e-9).all()
     assert (held.deceleration(speeds, 0.0, 0.5) < straight + 1e-9).all()
     assert held is coarse(MPC(CAR, profile="production"), "production")  # made once
-    published = coarse(published_mpc(CAR, period=0.05), "road")
-    assert np.isfinite(np.array(published.braking)).all()
 
 
 def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(coarse):
@@ -94,6 +92,11 @@ def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(
     assert dead_time > 0.1
     at = np.array([20.0, 40.0, 55.0])
     assert (slow.deceleration(at, 0.0, 0.9) <= known.deceleration(at, 0.0, 0.9) + 1e-9).all()
+
+
+def test_the_published_controller_has_a_table_too(coarse):
+    held = coarse(published_mpc(CAR, period=0.05), "road")
+    assert np.isfinite(np.array(held.braking)).all()
 
 
 def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
@@ -156,6 +159,13 @@ def test_an_open_road_begins_at_a_speed_that_the_power_holds():
     assert plan.speed[0] == pytest.approx(plan.speed[-1], rel=1e-6)
     assert plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
     assert {each.limit for each in plan.stretches} == {Limit.POWER}
+
+
+def test_without_a_car_a_road_without_limit_ends_with_the_usual_domain():
+    road = Road.from_segments([Line(length=3000.0)])
+    assert plan_speed(road).speed.max() == pytest.approx(27.0)
+    closed = Road.from_segments([Arc(length=2000.0 * math.pi, curvature=1e-3)], closed=True)
+    assert plan_speed(closed, CAR).speed.max() == pytest.approx(CAR.domain.speed[1])
 
 
 def circle(radius, **along):

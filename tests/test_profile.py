@@ -80,13 +80,3 @@ def test_an_impossible_file_is_refused_with_file_key_and_remedy(tmp_path, text, 
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_profile(path)
-
-
-def test_every_number_says_its_unit_and_every_field_its_meaning():
-    for name, field in Profile.model_fields.items():
-        assert field.description, name
-        if field.annotation is float:
-            unit, comma, meaning = field.description.partition(", ")
-            assert unit in {"s", "-", "m/s", "m/s^2", "rad", "rad/s", "m", "m^2/rad^2"}, name
-            assert comma
-            assert meaning
