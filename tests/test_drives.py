@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,12 +88,6 @@ def test_other_wind_leaves_the_road_and_the_driving_alone() -> None:
 def test_drives_of_one_duration_have_equally_many_samples() -> None:
     for duration in (0.1, 1.0, 7.3, 60.0):
         assert {random_drive(seed, duration).sample(0.05).n for seed in range(5)} == {round(duration / 0.05)}
-
-
-def test_a_drive_survives_its_file(drives: list[Scenario], tmp_path: Path) -> None:
-    for drive in (*drives[:5], random_drive(0, 1.0, wind=0.0)):
-        drive.to_toml(tmp_path / "drive.toml")
-        assert load_scenario(tmp_path / "drive.toml") == drive
 
 
 def test_drives_have_a_name_and_a_seed_as_its_option() -> None:

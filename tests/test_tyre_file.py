@@ -108,6 +108,7 @@ def test_the_relaxation_length_is_the_published_one(tmp_path):
     )
     assert pac.relaxation_length(2400.0) == pytest.approx(0.35, abs=0.005)  # as the page of the tyres says
     assert pac.relaxation_length(4850.0) == pytest.approx(0.59, abs=0.005)
+    assert load_tyre("passenger-car").relaxation_length == pytest.approx(pac.relaxation_length(3300.0), rel=0.01)
     book = read_tyre_file(tir(tmp_path / "b.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5\nPCFY1 = 0.2"))
     assert book.relaxation_length(4000.0) == pytest.approx(book.stiffness(4000.0) / 1e5)
     assert book.relaxation_length(6000.0) == pytest.approx(book.stiffness(6000.0) / 1.1e5)
@@ -136,6 +137,7 @@ def test_the_fitted_tyre_is_as_near_as_it_says_and_near(tmp_path, model, p, most
 def test_the_shipped_tyres_are_what_their_published_sets_give(tmp_path):
     for name, p, nominal in (("small-car", BOOK, 4000.0), ("passenger-car", PAC, 4850.0)):
         shipped = load_tyre(name)
+        assert shipped.friction_load_sensitivity == pytest.approx(-p["PDY2"] / p["PDY1"], rel=0.02)
         file = read_tyre_file(tir(tmp_path / "a.tir", p, nominal=nominal, model="FITTYP = 61"))
         loads = np.linspace(0.4, 1.4, 11) * nominal
         for load in loads:
