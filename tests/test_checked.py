@@ -120,19 +120,15 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
     ("given", "said"),
     [
         ({"speed": -1}, "drive: speed = -1 m/s: must be a finite number > 0."),
-        ({"speed": "fast"}, "drive: speed = 'fast': must be a finite number > 0."),
         ({"speed": 1e9}, "drive: speed = 1000000000.0 m/s: at most 100 m/s (360 km/h; faster tyres need ever finer"),
         ({"moves": 0}, "drive: moves = 0: must be a whole number >= 1."),
-        ({"moves": 1.0}, "drive: moves = 1.0: must be a whole number >= 1."),
         ({"moves": 10**9}, "drive: moves = 1000000000: at most 200 control periods (the time of a QP grows"),
         ({"angle": 3.0}, "drive: angle = 3.0 rad: must be a pair; give (low, high)."),
-        ({"angle": (1.0,)}, "drive: angle = (1.0,): must be a pair; give (low, high)."),
         ({"angle": (0.0, math.inf)}, "drive: angle[1] = inf rad: must be a finite number; give (low, high)."),
         ({"weights": {"q": -1}}, "drive: weights['q'] = -1: must be a finite number >= 0."),
         ({"weights": 3}, "drive: weights = 3: must be a mapping of names or None."),
         ({"widths": (1, 0)}, "drive: widths[1] = 0: must be a whole number >= 1."),
         ({"widths": 3}, "drive: widths = 3: must be a sequence."),
-        ({"widths": "12"}, "drive: widths = '12': must be a sequence."),
         ({"kind": "puls"}, "drive: kind = 'puls': must be one of 'pulse', 'laguerre' or None."),
         ({"box": 2.0}, "drive: box = 2.0: must be a Box or None; Box(width) gives one."),
         ({"pause": 0}, "drive: pause = 0 s: must be a finite number > 0 or None."),
@@ -214,13 +210,9 @@ def unchecked(path: Path) -> list[str]:
     return found
 
 
-def test_every_call_whose_annotations_promise_a_check_makes_it() -> None:
+def test_every_call_whose_annotations_promise_a_check_makes_it(tmp_path: Path) -> None:
     modules = sorted(Path(adaptrack.__file__).parent.rglob("*.py"))
-    calls = [call for path in modules if path.parent.name != "base" for call in unchecked(path)]
-    assert not calls
-
-
-def test_a_forgotten_check_is_found(tmp_path: Path) -> None:
+    assert not [call for path in modules if path.parent.name != "base" for call in unchecked(path)]
     module = tmp_path / "made.py"
     module.write_text(
         "from adaptrack.base.checked import Positive, checked\nShort = Positive\n"

@@ -15,25 +15,22 @@ from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, pl
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.scenario import RoadDrive
 
-every_car = pytest.mark.parametrize("name", list_vehicles())
+BENDS = np.linspace(0.0, 0.15, 20)
 
 
-@every_car
-def test_less_friction_and_tighter_bends_leave_less(name):
-    car = load_vehicle(name)
-    bends = np.linspace(0.0, 0.15, 20)
-    dry, wet = cornering_limit(car, bends, 0.9), cornering_limit(car, bends, 0.5)
+@pytest.mark.parametrize("name", list_vehicles())
+def test_less_friction_and_tighter_bends_leave_less_and_a_plan_asks_for_no_more(name):
+    car, road = load_vehicle(name), generate_road("mountain", 2, 1500.0)
+    dry, wet = cornering_limit(car, BENDS, 0.9), cornering_limit(car, BENDS, 0.5)
     assert np.all(np.diff(dry) <= 0.05)  # the grid of accelerations
     assert np.all(wet < dry)
     assert dry[0] < 1.05 * 0.9 * 9.81  # a lightly loaded tyre has a little more
-
-
-@every_car
-def test_wheels_that_cannot_be_turned_so_far_leave_nothing(name):
-    car = load_vehicle(name)
     tightest = math.tan(min(steering_limit(car), 1.5)) / car.wheelbase
     assert cornering_limit(car, [1.01 * tightest], [0.9])[0] == 0.0
     assert cornering_limit(car, [0.5 * tightest], [0.9])[0] > 1.0
+    plan = plan_speed(road, car, Comfort(lateral=20.0))
+    bend = np.abs(road.at(plan.s).curvature)
+    assert np.all(plan.speed**2 * bend <= 0.9 * cornering_limit(car, bend, np.full(bend.shape, 0.9)) + 0.05)
 
 
 @pytest.mark.compiled
@@ -53,12 +50,3 @@ def test_below_the_limit_the_plant_holds_a_circle_and_above_it_does_not(name):
     assert held.failed is None
     assert np.abs(held.error).max() < 0.25
     assert lost.failed is not None or np.abs(lost.error).max() > 0.5
-
-
-@every_car
-def test_a_plan_asks_no_car_for_more_than_it_can(name):
-    car, road = load_vehicle(name), generate_road("mountain", 2, 1500.0)
-    plan = plan_speed(road, car, Comfort(lateral=20.0))
-    bend = np.abs(road.at(plan.s).curvature)
-    asked = plan.speed**2 * bend
-    assert np.all(asked <= 0.9 * cornering_limit(car, bend, np.full(bend.shape, 0.9)) + 0.05)

@@ -1,6 +1,5 @@
 """Files and names: what cannot be used is one clear error with its place, and no name leaves its folder."""
 
-import json
 import os
 
 import numpy as np
@@ -13,8 +12,6 @@ from hypothesis import strategies as st
 from adaptrack.base import files
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import (
-    Record,
-    build,
     is_text,
     printable,
     read_json,
@@ -49,17 +46,13 @@ def test_a_name_becomes_a_plain_file_name(name):
     assert safe_name(safe) == safe
 
 
-def test_harmless_names_stay_as_they_are_and_others_get_files_of_their_own():
+@given(st.lists(st.sampled_from([*NASTY, "a", "A", "a-2"]), max_size=8))
+def test_harmless_names_stay_as_they_are_and_no_two_files_of_one_list_are_the_same(names):
     for name in ("triple-lane-change", "road-nn", "a_b.c", "x" * 80):
         assert safe_name(name) == name
     assert len({safe_name(name) for name in NASTY}) == len(NASTY)
-    assert safe_name("a b") != safe_name("a/b") != safe_name("a-b")
-
-
-@given(st.lists(st.sampled_from([*NASTY, "a", "A", "a-2"]), max_size=8))
-def test_no_two_files_of_one_list_are_the_same(names):
-    found = safe_names(names)
-    assert len({name.lower() for name in found}) == len(found) == len(names)
+    numbered = safe_names(names)
+    assert len({name.lower() for name in numbered}) == len(numbered) == len(names)
 
 
 @given(st.text())
@@ -69,9 +62,6 @@ def test_what_is_printed_holds_no_controls_and_survives_utf8(text):
     assert not any(ord(c) < 32 or c in "\x7f\u200f\u202e\u2028" for c in shown)
     shown.encode()
     assert "\n" not in text or "\n" in printable(text, keep="\n")
-
-
-def test_thin_spaces_and_scripts_are_printed_as_they_are():
     for text in ("12\u202f000 m²", "Überholspur", "名前", "ψ − π"):
         assert printable(text) == text
     assert printable("\x1b[31m\u202e") == r"\x1b[31m\u202e"
@@ -83,17 +73,13 @@ BAD_TOML = [
     ("mass = 1\nx = " + "[" * DEEP, r"line 2: more than 64 tables in one another"),
     ("x = " + "{ a = " * DEEP + "1" + " }" * DEEP, "line 1: more than 64 tables"),
     (".".join(["a"] * DEEP) + " = 1", "a.*: more than 64 tables in one another"),
-    ("[" + ".".join(["a"] * DEEP) + "]\nx = 1", "a.*: more than 64 tables in one another"),
     ("# " + "[" * 80 + "\nmass = 1 2", r"line 2, column \d+: not valid TOML"),
     ("mass = 1\n\nx = " + "7" * 5_000, "line 3: a number with too many digits"),
     ('name = "a\\u0000b"', r"name = 'a\\x00b': holds a NUL or half a character"),
-    ('[[box]]\n"k\\u0000" = 1', r"key 'k\\x00': holds a NUL"),
 ]
 BAD_JSON = [
     ('{"mass": 1,\n"x": ' + "[" * DEEP, "line 2: more than 64 tables in one another"),
-    ('{"mass": 1,\n"x": ' + "7" * 5_000 + "}", "line 2: a number with too many digits"),
     ('{"box": [1, {"name": "\\ud800"}]}', r"box\[1\]\.name = '\\ud800': holds a NUL or half a character"),
-    ('{"name": "\\u0000"}', r"name = '\\x00': holds a NUL"),
     ('{"mass": 1,\n"x" 2}', r"line 2, column 5: not valid JSON: Expecting ':' delimiter"),
     ("[" * 80 + "]" * 80, "more than 64 tables in one another"),
     ('{"a": "' + "]" * 5_000 + '",\n"x": ' + "[" * DEEP, "line 2: more than 64 tables in one another"),
@@ -101,35 +87,21 @@ BAD_JSON = [
 ]
 
 
-@pytest.mark.parametrize(("text", "complaint"), BAD_TOML, ids=range(len(BAD_TOML)))
-def test_toml_that_cannot_be_used_is_one_error_with_its_place(tmp_path, text, complaint):
-    (tmp_path / "bad.toml").write_text(text)
-    with pytest.raises(ConfigError, match=r"bad\.toml.*" + complaint) as caught:
-        read_toml(tmp_path / "bad.toml")
+CASES = [("bad.toml", read_toml, *case) for case in BAD_TOML] + [("bad.json", read_json, *case) for case in BAD_JSON]
+
+
+@pytest.mark.parametrize(("name", "read", "text", "complaint"), CASES, ids=range(len(CASES)))
+def test_a_file_that_cannot_be_used_is_one_error_with_its_place(tmp_path, name, read, text, complaint):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=rf"{name[:3]}\{name[3:]}.*{complaint}") as caught:
+        read(tmp_path / name)
     assert len(str(caught.value)) < 600
-
-
-@pytest.mark.parametrize(("text", "complaint"), BAD_JSON, ids=range(len(BAD_JSON)))
-def test_json_that_cannot_be_used_is_one_error_with_its_place(tmp_path, text, complaint):
-    (tmp_path / "bad.json").write_text(text)
-    with pytest.raises(ConfigError, match=r"bad\.json.*" + complaint) as caught:
-        read_json(tmp_path / "bad.json")
-    assert len(str(caught.value)) < 600
-
-
-def test_a_number_too_large_for_a_float_is_refused(tmp_path):
-    class Car(Record):
-        mass: float
-
-    (tmp_path / "car.toml").write_text("mass = 1" + "0" * 4000)
-    with pytest.raises(ConfigError, match="mass"):
-        build(Car, read_toml(tmp_path / "car.toml"), "car.toml")
 
 
 def test_json_comes_back_as_it_was(tmp_path):
-    data = {"µ": [1, 2.5, None, True], "nested": {"name": "[/red]"}}
-    write_json(tmp_path / "x.json", data)
-    assert read_json(tmp_path / "x.json") == data
+    data, path = {"µ": [1, 2.5, None, True], "nested": {"name": "[/red]"}}, tmp_path / ("x" * 250 + ".json")
+    write_json(path, data)
+    assert read_json(path) == data
 
 
 @given(st.text(st.characters() | st.sampled_from("\0\ud800")))
@@ -137,22 +109,13 @@ def test_text_is_what_utf8_and_c_strings_hold(text):
     assert is_text(text) == ("\0" not in text and text == text.encode("utf-8", "ignore").decode())
 
 
-@pytest.mark.parametrize("name", ["a\0b", "\ud800"])
-def test_a_record_refuses_a_name_that_is_no_text(name):
-    with pytest.raises(InvalidInput, match="name"):
-        load_scenario("step").replace(name=name)
-
-
-def test_a_path_with_a_nul_is_a_storage_error():
+def test_names_and_paths_that_are_no_text_are_refused():
+    for name in ("a\0b", "\ud800"):
+        with pytest.raises(InvalidInput, match="name"):
+            load_scenario("step").replace(name=name)
     for call in (read_toml, read_json, lambda path: write_atomically(path, b"")):
         with pytest.raises(StorageError, match=r"a\\x00b: cannot be"):
             call("a\0b")
-
-
-def test_a_long_file_name_can_be_written(tmp_path):
-    path = tmp_path / ("x" * 250 + ".json")
-    write_json(path, 1)
-    assert json.loads(path.read_text()) == 1
 
 
 def test_a_link_is_replaced_when_asked_for(tmp_path):

@@ -44,25 +44,13 @@ def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
     assert all(each.startswith("adaptrack: chain, search: ") for each in caplog.messages)
 
 
-def test_short_work_says_nothing(caplog):
-    work(0.0)
+def test_short_work_and_work_that_is_followed_leave_no_records(caplog):
+    work(0.0)  # short work
     assert not caplog.messages
-
-
-def test_who_follows_the_work_is_told_and_nobody_else(caplog):
     told = []
     work(0.1, progress=lambda *each: told.append(each))
     assert told == [("swarm", 1, 4), (2, 4)]
     assert not caplog.messages
-
-
-def test_work_that_fails_ends_its_telling():
-    @tells("search")
-    def fails(progress=None):
-        raise ValueError("no")
-
-    with pytest.raises(ValueError, match="no"):
-        fails()
 
 
 def test_a_notebook_has_a_bar_that_ends_full(monkeypatch, caplog):

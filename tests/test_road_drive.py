@@ -32,9 +32,14 @@ from adaptrack.tuning.runs import Retuned, RunSet, road_runs
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
-HAIRPIN = Road.from_segments(
-    [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=40.0)], name="hairpin"
-)
+
+
+def hairpin(side=1.0, start=(0.0, 0.0, 0.0)):
+    bend = Arc(length=15.0 * math.pi, curvature=side / 15)
+    return Road.from_segments([Line(length=40.0), bend, Line(length=40.0)], name="hairpin", start=start)
+
+
+HAIRPIN = hairpin()
 CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
 WINDING = generate_road("country", seed=4, length=600.0)
 LAWS = {
@@ -65,11 +70,20 @@ def test_a_car_that_slows_down_meets_the_bend_later():
     assert (np.flatnonzero(slowing > 0.01)[0]) > np.flatnonzero(steady > 0.01)[0]
 
 
-def test_nonsense_of_the_road_ahead_is_refused():
-    with pytest.raises(InvalidInput, match="station"):
-        RoadAhead(HAIRPIN, math.nan, [10.0])
-    with pytest.raises(InvalidInput, match="speeds"):
-        RoadAhead(HAIRPIN, 0.0, [])
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: RoadAhead(HAIRPIN, math.nan, [10.0]), "station"),
+        (lambda: RoadAhead(HAIRPIN, 0.0, []), "speeds"),
+        (lambda: RoadDrive("lap", 10.0), "must be a Road"),
+        (lambda: RoadDrive(HAIRPIN, 5.0, laps=2), "is open"),
+        (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "another road"),
+        (lambda: RoadDrive(HAIRPIN, 5.0, start_heading=2.0), "right angle"),
+    ],
+)
+def test_a_drive_that_makes_no_sense_is_refused(make, words):
+    with pytest.raises(InvalidInput, match=words):
+        make()
 
 
 # -- a drive ----------------------------------------------------------------------------------------------------------
@@ -82,17 +96,6 @@ def test_a_drive_follows_its_plan_and_stands_at_its_stops():
     )
     assert np.sum(np.abs(signals.station - 200.0) < 1e-9) * 0.05 == pytest.approx(4.0, abs=0.11)
     assert signals.station[-1] == pytest.approx(WINDING.length, abs=0.05)
-
-
-def test_a_drive_that_makes_no_sense_is_refused():
-    with pytest.raises(InvalidInput, match="must be a Road"):
-        RoadDrive("lap", 10.0)
-    with pytest.raises(InvalidInput, match="is open"):
-        RoadDrive(HAIRPIN, 5.0, laps=2)
-    with pytest.raises(InvalidInput, match="another road"):
-        RoadDrive(HAIRPIN, plan_speed(WINDING))
-    with pytest.raises(InvalidInput, match="right angle"):
-        RoadDrive(HAIRPIN, 5.0, start_heading=2.0)
 
 
 @pytest.mark.compiled
@@ -132,24 +135,13 @@ def test_offset_and_heading_error_are_those_of_the_projection():
 
 
 @pytest.mark.compiled
-def test_a_mirrored_road_is_driven_in_the_mirror():
-    other = Road.from_segments(
-        [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=-1 / 15), Line(length=40.0)], name="hairpin"
+def test_a_road_is_driven_the_same_wherever_it_lies_and_mirrored_in_the_mirror():
+    here, there, mirror = (
+        rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(hairpin(side, start), 6.0)).road["offset"]
+        for side, start in ((1.0, (0.0, 0.0, 0.0)), (1.0, (300.0, -200.0, 2.0)), (-1.0, (0.0, 0.0, 0.0)))
     )
-    left, right = (rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(road, 6.0)) for road in (HAIRPIN, other))
-    np.testing.assert_allclose(left.road["offset"], -right.road["offset"], rtol=0, atol=1e-7)
-
-
-@pytest.mark.compiled
-def test_where_the_road_lies_and_points_makes_no_difference():
-    from adaptrack.road import Pose
-
-    moved = Road.from_segments(
-        [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=40.0)], name="moved",
-        start=Pose(x=300.0, y=-200.0, heading=2.0),
-    )  # fmt: skip
-    here, there = (rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(road, 6.0)) for road in (HAIRPIN, moved))
-    np.testing.assert_allclose(here.road["offset"], there.road["offset"], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(here, there, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(here, -mirror, rtol=0, atol=1e-7)
 
 
 @pytest.mark.compiled
@@ -212,16 +204,6 @@ def test_friction_lies_at_its_place_whatever_the_time():
     assert signals.friction[signals.station < 99.0].min() == pytest.approx(0.9)
     assert signals.friction[signals.station > 101.0].max() == pytest.approx(0.2)
     assert run.failed is None
-
-
-@pytest.mark.compiled
-def test_a_batch_mixes_straight_and_curved_roads():
-    straight = Road.from_segments([Line(length=HAIRPIN.length)], name="straight")
-    drives = [RoadDrive(HAIRPIN, 6.0), RoadDrive(straight, 6.0)]
-    mpc = MPC(CAR, profile="road")
-    found = rollout_batch(PLANT, mpc, drives, which=[0, 1, 0], seeds=[1, 2, 3], profile="road")
-    alone = [rollout(PLANT, mpc, drives[i], profile="road", seed=s) for i, s in ((0, 1), (1, 2), (0, 3))]
-    np.testing.assert_allclose(found.mse, [np.mean(run.error**2) for run in alone], rtol=1e-12)
 
 
 @pytest.mark.compiled

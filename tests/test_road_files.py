@@ -5,11 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.cli.app import app
 from adaptrack.road import (
     Along,
     Arc,
@@ -53,27 +51,10 @@ def test_the_stated_deviation_of_a_noisy_record_is_the_true_one(kind, spacing, n
     assert f"point {int(np.argmax(away))}" in road.notes[-1]
     assert road.closed is true.closed
     # The noise is taken for noise: the road is nearer to the truth than the record is.
-    inside = np.linspace(0.05, 0.95, 100) * true.length
-    error = road.project(*true.at(inside)[:2]).offset
+    error = road.project(*true.at(np.linspace(0.05, 0.95, 100) * true.length)[:2]).offset
     assert np.sqrt(np.mean(error**2)) < noise
     assert road.curvature_jumps() == []
-
-
-def test_points_without_noise_are_met_closely_and_smoothly():
-    true = generate_road("country", seed=2, length=800.0)
-    road = fit_road(recorded(true, 5.0))
-    assert road.deviation < 5e-3
-    s = np.linspace(30.0, 770.0, 100)
-    foot = road.project(*true.at(s)[:2])
-    assert np.abs(foot.offset).max() < 5e-3
-    assert np.abs(foot.curvature - true.at(s).curvature).max() < 2e-3
-
-
-def test_a_fit_keeps_the_bound_that_it_is_given():
-    points = recorded(generate_road("country", seed=1, length=600.0), 15.0, noise=1.0)
-    free, bound = fit_road(points, max_deviation=10.0), fit_road(points, max_deviation=0.4)
-    assert free.deviation > 0.5
-    assert bound.deviation <= 0.4
+    assert fit_road(points, max_deviation=2.0 * noise).deviation <= 2.0 * noise  # a bound is kept
 
 
 def test_a_smoothed_road_has_no_jumps_and_stays_within_its_deviation():
@@ -89,20 +70,15 @@ def test_a_smoothed_road_has_no_jumps_and_stays_within_its_deviation():
     assert float(smooth.along("width_left", 100.0)) == 2.5
 
 
-def test_a_record_that_goes_on_beyond_its_start_is_cut_there():
+def test_a_record_is_cut_at_its_start_but_crossing_it_does_not_close_a_road():
     lap = generate_road("lap", seed=1, length=700.0)
-    s = np.arange(0.0, 1.4 * lap.length, 4.0)
-    road = fit_road(np.stack(lap.at(s)[:2], axis=-1))
+    road = fit_road(np.stack(lap.at(np.arange(0.0, 1.4 * lap.length, 4.0))[:2], axis=-1))
     assert road.closed
     assert road.length == pytest.approx(lap.length, rel=2e-3)
     assert any("beyond its start" in note for note in road.notes)
-
-
-def test_crossing_its_start_does_not_close_a_road():
     eight = Road.from_segments(figure_of_eight(Arc, Line), closed=True)
     s = np.arange(3.0 * math.pi * 15.0 + 30.0, eight.length, 3.0)  # from the crossing on, once through it
-    open_ = fit_road(np.stack(eight.at(s)[:2], axis=-1))
-    assert not open_.closed
+    assert not fit_road(np.stack(eight.at(s)[:2], axis=-1)).closed
 
 
 def test_noisy_dense_points_and_standing_still_do_not_bend_the_road():
@@ -136,25 +112,6 @@ def test_a_road_prints_its_name_its_length_and_what_is_to_be_said_of_it():
     assert repr(generate_road("lap", 0)).startswith("<Road 'lap-0': a lap of ")
     fitted = repr(fit_road(WINDING[:300]))
     assert re.fullmatch(r"<Road 'points': open, 9\d\d.* m; 300 points; largest deviation .*>", fitted)
-
-
-@pytest.mark.parametrize(
-    ("points", "options", "words"),
-    [
-        (np.zeros((3, 2)), {}, "n >= 4"),
-        (np.zeros((9, 2)), {}, "all points are the same"),
-        ([[0.0, 0.0], [1.0, math.nan], [2.0, 0.0], [3.0, 0.0]], {}, "point 1 is not finite"),
-        (np.arange(20.0).reshape(10, 2), {"max_deviation": 0.0}, "max_deviation"),
-        (
-            np.random.default_rng(0).standard_normal((12, 2)) + 4.0 * np.arange(24).reshape(12, 2),
-            {"max_deviation": 1e-15},
-            "allow more",
-        ),
-    ],
-)
-def test_what_no_road_goes_through_is_refused(points, options, words):
-    with pytest.raises(InvalidInput, match=words):
-        fit_road(points, **options)
 
 
 # -- CSV --------------------------------------------------------------------------------------------------------------
@@ -201,19 +158,13 @@ def test_other_separators_and_columns_are_read_and_said(tmp_path):
     [
         ("x,y\n1,2\n", "1 lines of numbers"),
         ("x,y\n1,2\n3,4\n5,abc\n7,8\n9,9\n", "line 4: 'abc'"),
-        ("x,y\n1,2\n3,4\n5,nan\n7,8\n9,9\n", "line 4: 'nan'"),
         ("x,y\n1,2\n3,4\n5,6,7\n7,8\n9,9\n", "line 4: 3 columns"),
         ("1,2,3\n" * 5, "3 columns without a header"),
         ("lat,lon\n" + "1,2\n" * 5, "convert them to x"),
         ("xx,y\n" + "1,2\n" * 5, "'x'"),
-        ("x,y,x\n" + "1,2,3\n" * 5, "two of them"),
         ("x,y\n" + "1,2\n" * 5, "n >= 4"),
         ("x,y,width_left [cm]\n" + "1,2,3\n" * 5, r"line 1: column 'width_left \[cm\]': must be in m; convert"),
-        ("x,y,speed_limit (km/h)\n" + "1,2,3\n" * 5, "must be in m/s; convert"),
-        ("x,y,bank [deg]\n" + "1,2,3\n" * 5, "must be in rad; convert"),
         ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
-        ("x,y\n1,2\n3,4\n5,6\n7e5,8\n9,9\n", "line 4 is 7e[+]05 m from the next one"),
-        ("x,y\n" + "".join(f"{k}e-6,0\n" for k in range(60)), "are x and y in metres"),
     ],
 )
 def test_a_table_without_a_road_is_refused_with_its_line(tmp_path, text, words):
@@ -249,11 +200,8 @@ def test_the_speed_of_a_race_line_becomes_the_limit_and_the_plan(tmp_path):
     [
         ("nan", "vx_mps", "vx_mps", "line 7: 'nan' is not a finite number"),
         ("-3", "vx_mps", "vx_mps", "line 7: vx_mps = -3: must be > 0 and at most 100 m/s"),
-        ("0", "vx_mps", "vx_mps", "line 7: vx_mps = 0: must be > 0"),
         ("180", "vx_mps", "vx_mps", "line 7: vx_mps = 180: .* at most 100 m/s"),
         ("50", "v_kmh", "v_kmh", "line 2: column 'v_kmh': must be in m/s; convert"),
-        ("50", "v [km/h]", "v", "must be in m/s; convert"),
-        ("50", "speed_mph", "speed_mph", "must be in m/s; convert"),
         ("50", "v [rad/s]", "v", "must be in m/s; convert"),
         ("50", "vx_mps", "vx_mp", "line 2: no single column is 'vx_mp': Did you mean 'vx_mps'"),
         ("50", "x_m", "x_m", "there are two of them"),
@@ -265,33 +213,20 @@ def test_a_column_that_is_no_speed_is_refused(tmp_path, speed, title, column, wo
         load_road(path, speed_column=column)
 
 
-def test_a_speed_column_needs_a_header(tmp_path):
-    with pytest.raises(ConfigError, match="4 columns without a header"):
-        load_road(csv(tmp_path / "line.csv", POINTS), speed_column="v")
-
-
 @pytest.mark.parametrize(
-    ("name", "option", "words"),
+    ("name", "option", "error", "words"),
     [
-        ("country", {"closed": True}, "country: closed is an option of .csv, .txt, .xml roads"),
-        ("country", {"speed_column": "v"}, "speed_column is an option of .csv, .txt roads"),
-        ("a.csv", {"seed": 1}, "a.csv: seed is an option of generated roads"),
-        ("a.toml", {"lane": -1}, "lane is an option of .xodr roads"),
-        ("a.xodr", {"width_lft": 2.0}, "unknown option width_lft. Did you mean 'width_left'"),
+        ("country", {"closed": True}, InvalidInput, "country: closed is an option of .csv, .txt, .xml roads"),
+        ("a.csv", {"seed": 1}, InvalidInput, "a.csv: seed is an option of generated roads"),
+        ("a.toml", {"lane": -1}, InvalidInput, "lane is an option of .xodr roads"),
+        ("a.xodr", {"width_lft": 2.0}, InvalidInput, "unknown option width_lft. Did you mean 'width_left'"),
+        ("none.csv", {}, StorageError, "cannot be read"),
+        ("contry", {}, UnknownName, "country"),
     ],
 )
-def test_an_option_of_another_kind_of_road_is_refused_with_the_kinds_that_have_it(name, option, words):
-    with pytest.raises(InvalidInput, match=words):
+def test_other_names_and_options_of_other_kinds_of_roads_are_refused(name, option, error, words):
+    with pytest.raises(error, match=words):
         load_road(name, **option)
-
-
-def test_a_file_that_is_not_there_and_a_name_that_is_none_are_refused(tmp_path):
-    with pytest.raises(StorageError, match="cannot be read"):
-        load_road(tmp_path / "none.csv")
-    with pytest.raises(UnknownName, match="country"):
-        load_road("contry")
-    with pytest.raises(InvalidInput, match="lane"):
-        load_road("country", lane=1)
 
 
 # -- OpenDRIVE --------------------------------------------------------------------------------------------------------
@@ -326,15 +261,6 @@ LANES = """<lanes><laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="20" 
 <lane id="-2" type="driving"><width sOffset="0" a="3.2" b="0.001" c="0" d="0"/></lane></right></laneSection></lanes>"""
 
 
-def test_the_plan_view_is_read_exactly(tmp_path):
-    path, road = xodr(tmp_path / "a.xodr", origin=(4.5e5, 5.4e6))
-    found = load_road(path)
-    s = np.linspace(0.0, 190.0, 500)
-    for one, other in zip(found.at(s), road.at(s), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=5e-9)
-    assert found.name == "r"
-
-
 def test_the_lane_offset_and_the_middle_of_a_lane_lie_beside_the_reference_line(tmp_path):
     path, road = xodr(tmp_path / "a.xodr", LANES)
     s = np.array([5.0, 33.0, 70.0, 120.0, 170.0])
@@ -344,19 +270,23 @@ def test_the_lane_offset_and_the_middle_of_a_lane_lie_beside_the_reference_line(
     for found, beside in ((centre, offset), (lane, offset - 3.5 - 0.5 * (3.2 + 0.001 * s))):
         p = road.at(s)
         foot = found.project(p.x - beside * np.sin(p.heading), p.y + beside * np.cos(p.heading))
-        assert np.abs(foot.offset).max() < 1e-9
+        assert np.abs(foot.offset).max() < 1e-3
     arc = centre.project(*road.at(165.0)[:2])
-    assert float(arc.curvature) == pytest.approx(0.02 / (1.0 - 0.02), abs=1e-9)
+    assert float(arc.curvature) == pytest.approx(0.02 / (1.0 - 0.02), rel=0.01)
     assert float(centre.along("width_left", 60.0)) == pytest.approx(3.0)
     assert float(centre.along("width_right", 0.0)) == pytest.approx(6.7)
     assert float(lane.along("width_left", 0.0)) == pytest.approx(1.6)
 
 
-def test_bank_and_speed_limits_are_read_with_their_signs_and_units(tmp_path):
+def test_the_plan_view_is_read_exactly_bank_and_speed_limits_with_their_signs_and_units(tmp_path):
     bank = '<lateralProfile><superelevation s="0" a="0.05" b="0" c="0" d="0"/></lateralProfile>'
     speed = '<type s="0" type="rural"><speed max="90" unit="km/h"/></type>'
     speed += '<type s="100" type="town"><speed max="30" unit="mph"/></type>'
-    road = load_road(xodr(tmp_path / "a.xodr", before=speed, after=bank)[0])
+    path, line = xodr(tmp_path / "a.xodr", before=speed, after=bank, origin=(4.5e5, 5.4e6))
+    road, s = load_road(path), np.linspace(0.0, 190.0, 500)
+    assert road.name == "r"
+    for one, other in zip(road.at(s), line.at(s), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=5e-9)
     assert float(road.along("bank", 50.0)) == -0.05  # falls to the right: pushes to the right
     assert road.along("speed_limit", [50.0, 150.0]).tolist() == pytest.approx([25.0, 13.4112])
 
@@ -370,10 +300,7 @@ def test_parametric_cubics_and_poly3_are_the_same_curve_where_they_say_the_same(
     length = 30.4 if span == "normalized" else 30.0
     roads = []
     for k, shape in enumerate((cubic, f'<poly3 a="0" b="{b}" c="{c}" d="0"/>')):
-        (tmp_path / f"{k}.xodr").write_text(
-            '<OpenDRIVE><road id="1" length="30"><planView><geometry s="0" x="0" y="0" hdg="0" '
-            f'length="{length}">{shape}</geometry></planView></road></OpenDRIVE>'
-        )
+        (tmp_path / f"{k}.xodr").write_text(of_shape(shape, length))
         roads.append(load_road(tmp_path / f"{k}.xodr"))
     s = np.linspace(0.0, 29.9, 60)
     for one, other in zip(roads[0].at(s), roads[1].at(s), strict=True):
@@ -384,75 +311,52 @@ def test_parametric_cubics_and_poly3_are_the_same_curve_where_they_say_the_same(
     assert roads[1].length == pytest.approx(length, abs=1e-9)
 
 
+def of_shape(shape, length=100):
+    """The text of a file of one element."""
+    place = f'<geometry s="0" x="0" y="0" hdg="0" length="{length}">'
+    shape = shape.format(zero='aV="0" bV="0" cV="0" dV="0"')
+    return f'<OpenDRIVE><road id="1" length="9"><planView>{place}{shape}</geometry></planView></road></OpenDRIVE>'
+
+
 @pytest.mark.parametrize(
     ("text", "options", "words"),
     [
         ("<OpenDRIVE>", {}, "not XML"),
         ("<osm/>", {}, "<osm>"),
         ("<OpenDRIVE/>", {}, "no <road>"),
-        ('<OpenDRIVE><road id="a" length="1"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
         ('<OpenDRIVE><road id="a" length="abc"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
-        ('<OpenDRIVE><road id="a" length="nan"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
         ('<?xml version="1.0" encoding="foo-8"?><OpenDRIVE/>', {}, "not XML: unknown encoding: foo-8"),
-        ('<?xml version="1.0" encoding="hex"?><OpenDRIVE/>', {}, "not XML: 'hex' is not a text encoding"),
         ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {"road": "c"}, "no road has the id 'c'"),
         ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {}, "planView"),
+        (of_shape('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {zero}/>'), {}, "1e[+]07 m apart"),
+        (of_shape('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {zero}/>'), {}, "5e[+]06 m apart"),
+        (of_shape('<poly3 a="0" b="0" c="0" d="1e300"/>'), {}, "m apart in all"),
+        (of_shape('<arc curvature="10"/>', 2000), {}, r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
+        (of_shape('<spiral curvStart="-10" curvEnd="10"/>', 2000), {}, "its turn = 20000"),
+        (of_shape('<arc curvature="x"/>'), {}, "arc curvature='x'"),
+        (of_shape("<curl/>"), {}, "<curl>; known: line"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_what_is_no_road_in_opendrive_is_refused(tmp_path, text, options, words):
     (tmp_path / "a.xodr").write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_road(tmp_path / "a.xodr", **options)
 
 
-def test_shapes_and_lanes_that_cannot_be_read_are_named(tmp_path):
+def test_lanes_and_shapes_that_do_not_fit_are_named(tmp_path):
     path, _ = xodr(tmp_path / "a.xodr", LANES)
-    with pytest.raises(ConfigError, match="there is no lane -3; there are -2, -1"):
-        load_road(path, lane=-3)
-    with pytest.raises(ConfigError, match="run with the road"):
-        load_road(path, lane=1)
-    text = path.read_text()
-    for old, new, words in (
-        ('curvature="0.02"', 'curvature="x"', "arc curvature='x'"),
-        ("<line/>", "<curl/>", "<curl>; known: line"),
-        ('hdg="0.3"', 'hdg="0.4"', "10 m apart at s = 100"),
-    ):
-        path.write_text(text.replace(old, new, 1))
+    for lane, words in ((-3, "there is no lane -3; there are -2, -1"), (1, "run with the road")):
         with pytest.raises(ConfigError, match=words):
-            load_road(path)
-
-
-@pytest.mark.parametrize(
-    ("shape", "length", "words"),
-    [
-        ('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {v}/>', 100, "1e[+]07 m apart in all"),
-        ('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="1e3" dU="0" {v}/>', 100, "1e[+]07 m apart in all"),
-        ('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {v}/>', 100, "5e[+]06 m apart in all"),
-        ('<paramPoly3 pRange="normalized" aU="0" bU="1e300" cU="0" dU="0" {v}/>', 100, "m apart in all"),
-        ('<poly3 a="0" b="0" c="0" d="1e300"/>', 100, "m apart in all"),
-        ('<arc curvature="10"/>', 2000, r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
-        ('<spiral curvStart="-10" curvEnd="10"/>', 2000, "its turn = 20000"),
-    ],
-)
-@pytest.mark.filterwarnings("error")
-def test_shapes_without_measure_are_refused(tmp_path, shape, length, words):
-    shape = shape.format(v='aV="0" bV="0" cV="0" dV="0"')
-    (tmp_path / "a.xodr").write_text(
-        '<OpenDRIVE><road id="1" length="9"><planView><geometry s="0" x="0" y="0" hdg="0" '
-        f'length="{length}">{shape}</geometry></planView></road></OpenDRIVE>'
-    )
-    with pytest.raises(ConfigError, match=words):
-        load_road(tmp_path / "a.xodr")
-
-
-def test_the_length_of_a_cubic_is_bounded_by_its_control_points():
-    bent = {"x": (0.0, 3e5, 0.0, 0.0), "y": (0.0, 0.0, 0.0, 3e5)}
-    assert Road.from_segments([Cubic(**bent)]).length < 1e6
-    with pytest.raises(InvalidInput, match=r"at most 1e\+06 m"):
-        Cubic(**bent, end=2.0)
+            load_road(path, lane=lane)
+    path.write_text(path.read_text().replace('hdg="0.3"', 'hdg="0.4"', 1))
+    with pytest.raises(ConfigError, match="10 m apart at s = 100"):
+        load_road(path)
 
 
 def test_a_road_has_at_most_two_thousand_kilometres_and_lies_on_the_earth(tmp_path):
+    bent = {"x": (0.0, 3e5, 0.0, 0.0), "y": (0.0, 0.0, 0.0, 3e5)}
+    assert Road.from_segments([Cubic(**bent)]).length < 1e6
     with pytest.raises(InvalidInput, match=r"length = 3e\+06: at most 2,000,000 m"):
         Road.from_segments([Line(length=1e6)] * 3)
     path, _ = xodr(tmp_path / "a.xodr")
@@ -529,9 +433,7 @@ def test_only_lanes_that_are_driven_along_the_road_are_read(tmp_path, rule, dire
     ("before", "attributes", "bank"),
     [
         (profile('<crossfall s="0" side="both" a="0.05" b="0" c="0" d="0"/>'), {}, {1: 0.05, None: 0.0, -1: -0.05}),
-        (profile('<crossfall s="0" side="left" a="0.05" b="0" c="0" d="0"/>'), {}, {1: 0.05, -1: 0.0}),
         (profile('<crossfall s="0" a="0" b="5e-4" c="0" d="0"/>'), {"level": "true"}, {1: 0.0, -1: 0.0}),
-        (profile('<crossfall s="0" a="0" b="5e-4" c="0" d="0"/>'), {}, {1: 0.05, -1: -0.05}),
         (profile('<shape s="0" t="-9" a="0" b="0.08" c="0" d="0"/>'), {}, {1: -np.arctan(0.08), -1: -np.arctan(0.08)}),
         (
             profile(
@@ -573,12 +475,6 @@ def test_all_elements_and_attributes_that_are_not_read_are_named(tmp_path):
         assert name in note
     assert "signals" not in note  # of the other road
     assert load_road(straight_road(tmp_path / "b.xodr"), lane=-1).notes == ()
-
-
-def test_the_check_of_a_road_prints_its_notes(tmp_path):
-    path = straight_road(tmp_path / "a.xodr", before="<elevationProfile/>")
-    output = CliRunner().invoke(app, ["road", "check", str(path), "--lane=-1"]).output
-    assert "Note: not read: road/elevationProfile" in output
 
 
 def gap_view(*gaps):
@@ -650,7 +546,7 @@ def test_a_section_of_a_single_side_leaves_the_other_side_as_it_is(tmp_path):
 
 
 @pytest.mark.parametrize("linked", ["successor", "predecessor", "both"])
-def test_a_lane_is_followed_where_its_link_renumbers_it(tmp_path, linked):
+def test_a_lane_is_followed_where_its_link_renumbers_it_and_other_types_are_noted(tmp_path, linked):
     ahead = '<link><successor id="-2"/></link>' if linked != "predecessor" else ""
     back = '<link><predecessor id="-1"/></link>' if linked != "successor" else ""
     turn = '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="100" a="3" b="0" c="0" d="0"/>'
@@ -658,9 +554,6 @@ def test_a_lane_is_followed_where_its_link_renumbers_it(tmp_path, linked):
     road = load_road(straight_road(tmp_path / "a.xodr", turn, *sections), lane=-1)
     assert road.at([50.0, 150.0]).y == pytest.approx([-1.75, -1.75])
     assert road.notes == ("lane -1 is lane -2 from s = 100.00 m on",)
-
-
-def test_words_that_the_standard_does_not_have_are_refused_and_lanes_of_other_types_noted(tmp_path):
     with pytest.raises(ConfigError, match="road rule='lht'>: must be one of RHT, LHT"):
         load_road(straight_road(tmp_path / "a.xodr", rule="lht"))
     path = straight_road(tmp_path / "a.xodr", section(0, lane_text(-1, type="sidewalk")))
@@ -710,13 +603,6 @@ def test_a_road_file_by_hand_may_give_points(tmp_path):
     assert float(road.along("friction", 3.0)) == 0.4
 
 
-def test_an_element_may_say_where_it_begins_and_must_meet_the_one_before_it():
-    road = Road.from_segments([Line(length=10.0), Arc(length=5.0, curvature=0.1, start=(10.0, 0.0, 0.0))])
-    assert float(road.at(10.0).x) == 10.0
-    with pytest.raises(InvalidInput, match="1 m apart at s = 10"):
-        Road.from_segments([Line(length=10.0), Arc(length=5.0, curvature=0.1, start=(11.0, 0.0, 0.0))])
-
-
 LINE = "elements = [{kind = 'line', length = 50.0}]\n"
 PIECE = f"""[[pieces]]
 half = {{half}}
@@ -742,16 +628,11 @@ turned = [0.0, {{turned}}, {", ".join(10 * ["0.0"])}]
             "friction = 'wet': must be a number, or a table",
         ),
         ("friction = {s = [0.0, 0.0], value = [1.0, 1.0]}\n[[elements]]\nkind = 'line'\nlength = 3.0", "must increase"),
-        ("friction = -0.5\n[[elements]]\nkind = 'line'\nlength = 3.0", "-0.5 at s = 0 m: must be > 0"),
         ("closed = true\n[[elements]]\nkind = 'line'\nlength = 3.0", "3 m apart at the end and the start"),
         ("max_deviation = 1.0\n[[elements]]\nkind = 'line'\nlength = 3.0", "max_deviation is for points"),
-        ("points = [[0, 0], [1, 1]]", "n >= 4"),
         (LINE + "speed_limit = 1" + "0" * 400, "speed_limit = 1000.*: must be a valid number"),
-        (LINE + "speed_limit = nan", "speed_limit = nan: must be a finite number"),
-        (LINE + "friction = {s = [0.0, nan], value = [0.9, 0.3]}", r"friction.s\[1\] = nan"),
         ("points = [[0.0, 0.0], [1.0, nan], [2.0, 0.0], [3.0, 0.0]]", r"points\[1\]\[1\] = nan"),
         (PIECE.format(half="1e20", turned=0.0), r"pieces\[0\].half = 1e[+]20: must be .* <= 1e[+]06"),
-        (PIECE.format(half="nan", turned=0.0), r"pieces\[0\].half = nan"),
         (PIECE.format(half="25.0", turned="1e308"), r"pieces\[0\].turned\[1\] = 1e[+]308"),
         ("points = [", "not valid TOML"),
     ],

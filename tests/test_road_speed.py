@@ -12,7 +12,6 @@ from scipy.sparse import csr_array, diags_array, vstack
 from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY, Steering, load_vehicle
-from adaptrack.cli.road import RoadOptions
 from adaptrack.road import (
     Arc,
     Clothoid,
@@ -25,8 +24,6 @@ from adaptrack.road import (
     plan_speed,
     smallest_radius,
 )
-from adaptrack.road.cornering import cornering_limit
-from adaptrack.road.speed import constant_speed
 
 CAR = load_vehicle("midsize-sedan")
 KINDS = ("country", "town", "mountain", "lap")
@@ -56,16 +53,16 @@ def test_a_stop_is_a_stand_for_its_time():
 RAMPS = Comfort(accelerate=2.0, brake=2.0)
 
 
-@pytest.mark.parametrize("excess", [0.0, 1e-14, -1e-14, 1e-10, -1e-10, 3e-7, -3e-7, 1e-4])
-def test_a_stop_beside_a_place_of_the_plan_costs_a_ramp_down_and_one_up(excess):
+def test_a_stop_beside_a_place_of_the_plan_costs_a_ramp_down_and_one_up():
     """On roads of one piece and of many, with places every metre."""
     for road in (Road.from_segments([Line(length=300.0)], speed_limit=10.0),
                  Road.from_segments([Line(length=33.3)] * 9, speed_limit=10.0)):  # fmt: skip
         free = plan_speed(road, None, RAMPS, start=10.0)
-        for place in free.s[[60, 100, 150, 200]]:
-            stopped = plan_speed(road, None, RAMPS, start=10.0, stops=[float(place) * (1.0 + excess)])
-            assert stopped.duration == pytest.approx(free.duration + 5.0, abs=2e-3)
-            assert (stopped.speed == 0.0).sum() == 1
+        for excess in (0.0, 1e-14, -1e-14, 1e-10, -3e-7, 1e-4):
+            for place in free.s[[60, 150, 200]]:
+                stopped = plan_speed(road, None, RAMPS, start=10.0, stops=[float(place) * (1.0 + excess)])
+                assert stopped.duration == pytest.approx(free.duration + 5.0, abs=2e-3)
+                assert (stopped.speed == 0.0).sum() == 1
 
 
 @pytest.mark.parametrize("gap", [1e-5, 1e-3, 0.1, 0.3, 0.7])
@@ -84,20 +81,16 @@ def test_between_two_stops_in_one_cell_the_car_moves(gap, jerk):
     assert joined.stops == [Stop(pytest.approx(40.2), pytest.approx(5.0))]
 
 
-@pytest.mark.parametrize("stops", [[0.0], [0.3], [0.5], [0.999], [1.0], [0.25, 0.5, 0.75], [1e-8, 1.0 - 1e-8]])
-def test_stops_on_a_metre_of_road_are_reached_and_left(stops):
-    road = Road.from_segments([Line(length=1.0)])
-    plan = plan_speed(road, None, start=0.0, end=0.0, stops=stops)
-    assert 1.0 < plan.duration < 4.0
-
-
-@pytest.mark.parametrize("jerk", [1.0, 5.0])
-def test_a_stop_under_a_bounded_jerk_is_left_again(jerk):
+def test_stops_on_a_metre_of_road_and_under_a_bounded_jerk_are_reached_and_left():
+    for stops in ([0.0], [0.3], [0.999], [1.0], [0.25, 0.5, 0.75], [1e-8, 1.0 - 1e-8]):
+        plan = plan_speed(Road.from_segments([Line(length=1.0)]), None, start=0.0, end=0.0, stops=stops)
+        assert 1.0 < plan.duration < 4.0
     road = generate_road("lap", seed=1, length=300.0)
-    free = plan_speed(road, CAR, Comfort(jerk=jerk))
-    for stops in ([120.0], [0.0], [200.2, 200.7]):
-        stopped = plan_speed(road, CAR, Comfort(jerk=jerk), stops=stops)
-        assert free.duration + 2.0 < stopped.duration < free.duration + 20.0
+    for jerk in (1.0, 5.0):
+        free = plan_speed(road, CAR, Comfort(jerk=jerk))
+        for stops in ([120.0], [0.0], [200.2, 200.7]):
+            stopped = plan_speed(road, CAR, Comfort(jerk=jerk), stops=stops)
+            assert free.duration + 2.0 < stopped.duration < free.duration + 20.0
 
 
 @pytest.mark.parametrize(("bank", "sign"), [(0.0, 1.0), (0.1, 1.0), (-0.1, 1.0), (0.1, -1.0)])
@@ -141,23 +134,6 @@ def test_a_plan_keeps_every_limit_within_two_per_cent(kind):
     tyres = along + air / CAR.mass + CAR.rolling_resistance * GRAVITY
     assert (np.hypot(tyres, sideways) / grip).max() < 1.02
     assert (CAR.mass * tyres * v).max() < CAR.engine_power * 1.02
-
-
-def test_braking_and_accelerating_in_bends_leave_the_axle_that_they_unload_its_grip():
-    road = generate_road("mountain", seed=2, length=1500.0, friction=0.6)
-    comfort = Comfort(lateral=20.0, accelerate=20.0, brake=20.0, lateral_jerk=math.inf)
-    plan = plan_speed(road, CAR, comfort)
-    s = 0.5 * (plan.s[1:] + plan.s[:-1])
-    sideways = np.abs(plan.at(s) ** 2 * road.at(s).curvature)
-    grip = comfort.grip_share * np.minimum(
-        0.6 * GRAVITY, np.concatenate([cornering_limit(CAR, [k], [0.6]) for k in road.at(s).curvature])
-    )
-    for braking, arm in ((True, CAR.lf), (False, CAR.lr)):
-        along = np.maximum(-plan.acceleration if braking else plan.acceleration, 0.0)
-        carried = 1.0 - along * CAR.cg_height / (GRAVITY * arm)  # of the load of that axle at rest
-        used = np.hypot(along, sideways / carried) / grip
-        assert used[along > 0.0].max() < 1.02
-        assert np.count_nonzero(used[along > 0.0] > 0.97) > 10 or not braking
 
 
 def test_a_clothoid_is_driven_no_faster_than_its_lateral_jerk_allows():
@@ -219,32 +195,27 @@ def test_a_lap_is_planned_without_a_jump_at_its_seam():
     assert plan.acceleration[-1] < 0.0  # braking for the stop behind the seam
 
 
+def line(length=100.0, **along):
+    return Road.from_segments([Line(length=length)], **({"speed_limit": 20.0} | along))
+
+
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("road", "options", "words"),
     [
-        ({"stops": [700.0]}, "on the road, 0 to 100 m"),
-        ({"start": -1.0}, "start"),
-        ({"end": 99.0}, "at most 20"),
-        ({"start": 20.0, "end": 0.0}, "cannot brake in time; start at"),
-        ({"spacing": 0.0}, "spacing"),
-        ({"top_speed": math.nan}, "top_speed"),
+        (line(), {"stops": [700.0]}, "on the road, 0 to 100 m"),
+        (line(), {"start": -1.0}, "start"),
+        (line(), {"end": 99.0}, "at most 20"),
+        (line(60.0), {"start": 20.0, "end": 0.0}, "cannot brake in time; start at"),
+        (line(), {"spacing": 0.0}, "spacing"),
+        (line(), {"top_speed": math.nan}, "top_speed"),
+        (line(bank=([0.0, 50.0, 51.0], [0.0, 0.0, 0.5])), {}, "at s = 51 m the bank alone"),
+        (Road.from_segments([Line(length=50.0), Arc(length=1.0, curvature=2.0)]), {"car": CAR},
+         "the radius is 0.5 m, and this car cannot turn so tightly"),
     ],
-)
-def test_a_plan_that_is_not_possible_is_refused(options, words):
-    road = Road.from_segments([Line(length=60.0 if "cannot" in words else 100.0)], speed_limit=20.0)
+)  # fmt: skip
+def test_a_plan_that_is_not_possible_is_refused(road, options, words):
     with pytest.raises(InvalidInput, match=words):
-        plan_speed(road, None, **options)
-
-
-def test_a_bank_that_no_speed_balances_is_refused_with_its_place():
-    road = Road.from_segments([Line(length=100.0)], bank=([0.0, 50.0, 51.0], [0.0, 0.0, 0.5]))
-    with pytest.raises(InvalidInput, match=r"at s = 51 m the bank alone"):
-        plan_speed(road, None)
-
-
-def test_a_bend_that_the_car_cannot_turn_is_blamed_and_not_a_bank():
-    with pytest.raises(InvalidInput, match=r"the radius is 0.5 m, and this car cannot turn so tightly"):
-        plan_speed(Road.from_segments([Line(length=50.0), Arc(length=1.0, curvature=2.0)]), CAR)
+        plan_speed(road, **({"car": None} | options))
 
 
 @pytest.mark.parametrize("none", [None, 1000.0])
@@ -265,11 +236,6 @@ def test_where_a_road_has_no_limit_the_domain_of_the_car_is_and_that_is_said(non
 
 
 # -- checks -----------------------------------------------------------------------------------------------------------
-def test_the_smallest_radius_is_that_of_the_steering_limit():
-    car = CAR.replace(steering=Steering(limit=0.5))
-    assert smallest_radius(car) == pytest.approx(math.hypot(CAR.wheelbase / math.tan(0.5), CAR.lr))
-
-
 def bent(curvature):
     ramp = Clothoid(length=10.0, start_curvature=0.0, end_curvature=curvature)
     back = Clothoid(length=10.0, start_curvature=curvature, end_curvature=0.0)
@@ -277,6 +243,8 @@ def bent(curvature):
 
 
 def test_a_bend_that_is_too_tight_or_too_fast_is_named_with_its_place():
+    limited = CAR.replace(steering=Steering(limit=0.5))
+    assert smallest_radius(limited) == pytest.approx(math.hypot(CAR.wheelbase / math.tan(0.5), CAR.lr))
     car = CAR.replace(steering=None)  # 30 degrees
     least = smallest_radius(car)
     found = {each.kind: each for each in check_road(bent(0.25), car, 25.0)}
@@ -289,11 +257,6 @@ def test_a_bend_that_is_too_tight_or_too_fast_is_named_with_its_place():
     assert not found["grip"].drivable
 
 
-def test_a_road_that_suits_the_car_has_nothing_to_name():
-    road = generate_road("country", seed=1, length=1000.0)
-    assert check_road(road, CAR, plan_speed(road, CAR)) == []
-
-
 def test_bank_and_friction_count_for_the_grip():
     road = Road.from_segments([Arc(length=100.0, curvature=0.02)], friction=0.5)
     limit = math.sqrt(0.5 * GRAVITY / 0.02)
@@ -303,9 +266,9 @@ def test_bank_and_friction_count_for_the_grip():
 
 
 def test_steering_rate_width_edges_and_jumps_are_named():
+    country = generate_road("country", seed=1, length=1000.0)
+    assert check_road(country, CAR, plan_speed(country, CAR)) == []  # it suits the car
     car = CAR.replace(steering=Steering(rate=0.3))
-    kinds = {each.kind for each in check_road(bent(0.1), car, 12.0)}
-    assert "steering-rate" in kinds
     needed = next(each for each in check_road(bent(0.1), car, 12.0) if each.kind == "steering-rate").value
     assert needed == pytest.approx((CAR.wheelbase + CAR.understeer_gradient * 144.0) * 0.01 * 12.0, rel=1e-6)
     narrow = Road.from_segments([Line(length=50.0)], width_left=0.5, width_right=0.5)
@@ -332,10 +295,13 @@ def command(monkeypatch, capsys):
     return run
 
 
-def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command):
-    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800")
+def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command, tmp_path):
+    (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
+    code, out, _ = command("check", tmp_path / "road.csv")
     assert code == 0
     assert "can be driven" in out
+    assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
+    assert "largest deviation" in out
     code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json")
     found = json.loads(out)
     assert code == 1
@@ -348,27 +314,6 @@ def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(com
     assert found["limits"]["stretches"][-1]["end"] == found["length"]
     assert sum(found["limits"]["shares"].values()) == pytest.approx(1.0)
     assert "speed limit" in found["limits"]["shares"]
-
-
-def test_check_reads_a_file_and_says_how_near_its_road_comes(command, tmp_path):
-    angle = np.arange(0.0, 6.2, 0.1)
-    lines = [f"{30 * math.cos(a):.3f},{30 * math.sin(a):.3f}" for a in angle]
-    (tmp_path / "lap.csv").write_text("\n".join(lines))
-    code, out, _ = command("check", tmp_path / "lap.csv", "--lateral-acceleration", "2")
-    assert code == 0
-    assert "a closed lap" in out
-    assert "largest deviation" in out
-    code, out, _ = command("check", tmp_path / "lap.csv", "--open", "--json")
-    assert json.loads(out)["closed"] is False
-
-
-def test_check_and_drive_say_what_shaped_the_speed(command, tmp_path, capsys):
-    (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
-    code, out, _ = command("check", tmp_path / "road.csv")
-    assert code == 0
-    assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
-    RoadOptions().look(str(tmp_path / "road.csv"), CAR).warn(aside=False)  # as `drive` and `tune` do
-    assert "road: the road has no speed limit" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(command, tmp_path):
@@ -396,11 +341,8 @@ def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
     ("arguments", "words"),
     [
         (["check", "contry"], "Did you mean 'country'"),
-        (["check", "country", "--lane", "-1"], "lane"),
         (["check", "country", "--speed", "5", "--lateral-acceleration", "3"], "either"),
         (["check", "country", "--speed", "5", "--speed-column", "v"], "either --speed or --speed-column"),
-        (["check", "country", "--closed"], "closed is an option of .csv, .txt, .xml roads"),
-        (["check", "country", "--speed", "-5"], "speed"),
         (["plot", "country", "--vehicle", "papr"], "paper"),
     ],
 )
@@ -408,8 +350,3 @@ def test_what_cannot_be_done_is_one_sentence(command, arguments, words):
     code, _, err = command(*arguments)
     assert code == 2
     assert words in err
-
-
-def test_a_constant_speed_ignores_the_limits():
-    plan = constant_speed(generate_road("lap", length=600.0), 12.0)
-    assert np.unique(plan.speed).tolist() == [12.0]

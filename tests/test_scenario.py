@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +48,6 @@ ONE_OF_EACH: list[Shape] = [
     Gust(peak=20.0, start=1.0, duration=2.0),
     Sum(terms=(Constant(value=1.0), Gust(peak=5.0, start=1.0, duration=2.0))),
 ]
-by_kind = pytest.mark.parametrize("shape", ONE_OF_EACH, ids=lambda shape: shape.kind)
-
 NAMES = [
     "triple-lane-change",
     "general-trajectory",
@@ -70,49 +67,25 @@ def scenario(**changes: object) -> Scenario:
 # ---- shapes
 
 
-def test_every_shape_is_tried_here() -> None:
+def derivative(function, t: np.ndarray, h: float = 1e-6) -> np.ndarray:
+    """Central difference of a function of time, per second."""
+    return (function(t + h) - function(t - h)) / (2.0 * h)
+
+
+def test_a_shape_keeps_the_form_of_its_times_scales_and_survives_its_table() -> None:
     assert {shape.kind for shape in ONE_OF_EACH} == set(SHAPES)
-
-
-@by_kind
-def test_rate_is_the_derivative_of_the_value(shape: Shape) -> None:
-    h = 1e-6
-    t = np.linspace(-1.0, 7.0, 401) + 0.0037  # no kink and no jump within h of these
-    assert_allclose(shape.rate(t), (shape.at(t + h) - shape.at(t - h)) / (2.0 * h), atol=2e-7 * 20.0)
-
-
-@by_kind
-def test_a_shape_answers_in_the_form_of_the_question(shape: Shape) -> None:
     t = np.linspace(-1.0, 7.0, 12)
-    for function in (shape.at, shape.rate):
-        assert function(t).dtype == np.float64
-        assert_array_equal(function(t.reshape(3, 4)), function(t).reshape(3, 4))
-        assert_array_equal([function(each) for each in t], function(t))
-        assert np.shape(function(0.5)) == ()
+    for shape in ONE_OF_EACH:
+        values = shape.at(t)
+        assert values.dtype == np.float64
+        assert_array_equal(shape.at(t.reshape(3, 4)), values.reshape(3, 4))
+        assert_array_equal([shape.at(time) for time in t], values)
+        assert_allclose(shape.scaled(-1.8).at(t), -1.8 * values, rtol=1e-14, atol=1e-14)
+        assert shape.scaled(-1.0).scaled(-1.0) == shape
+        assert as_shape(shape.table()) == shape
 
 
-@by_kind
-def test_scaling_multiplies_every_value(shape: Shape) -> None:
-    t = np.linspace(-1.0, 7.0, 101)
-    assert_allclose(shape.scaled(-1.8).at(t), -1.8 * shape.at(t), rtol=1e-14, atol=1e-14)
-    assert shape.scaled(-1.0).scaled(-1.0) == shape
-
-
-@by_kind
-def test_a_shape_survives_its_table(shape: Shape) -> None:
-    assert as_shape(shape.table()) == shape
-
-
-@pytest.mark.parametrize("method", ["linear", "pchip", "cubic"])
-def test_knots_pass_through_their_points_and_hold_the_outer_ones(method: str) -> None:
-    shape = Knots(points=POINTS, method=method)
-    t, y = np.array(POINTS).T
-    assert_array_equal(shape.at(t), y)
-    assert_array_equal(shape.at([-3.0, 9.0]), y[[0, -1]])
-    assert_array_equal(shape.rate([-3.0, 9.0]), [0.0, 0.0])
-
-
-def test_smooth_knots_agree_with_scipy() -> None:
+def test_smooth_knots_agree_with_scipy_and_hold_the_outer_values() -> None:
     interpolate = pytest.importorskip("scipy.interpolate")
     t, y = np.array(POINTS).T
     fine = np.linspace(0.0, 5.0, 503)
@@ -121,41 +94,27 @@ def test_smooth_knots_agree_with_scipy() -> None:
         inside = fine[fine <= t[n - 1]]
         natural = interpolate.CubicSpline(t[:n], y[:n], bc_type="natural")
         monotone = interpolate.PchipInterpolator(t[:n], y[:n])
-        for method, oracle in (("cubic", natural), ("pchip", monotone)):
+        linear = interpolate.make_interp_spline(t[:n], y[:n], k=1)
+        for method, oracle in (("cubic", natural), ("pchip", monotone), ("linear", linear)):
             shape = Knots(points=points, method=method)
             assert_allclose(shape.at(inside), oracle(inside), atol=1e-13)
-            assert_allclose(shape.rate(inside), oracle(inside, 1), atol=1e-12)
-
-
-def test_pchip_does_not_overshoot() -> None:
-    values = Knots(points=((0.0, 0.0), (1.0, 0.0), (1.1, 1.0), (3.0, 1.0)), method="pchip").at(np.linspace(0, 3, 301))
-    assert values.min() >= 0.0
-    assert values.max() <= 1.0 + 1e-15
-    assert (np.diff(values) >= -1e-15).all()
+            assert_array_equal(shape.at([-3.0, 9.0]), y[[0, n - 1]])
 
 
 def test_a_lane_change_is_smooth_and_has_the_stated_extremes() -> None:
     shape = LaneChange(amplitude=3.5, start=1.0, duration=4.0)
     assert_allclose(shape.at([0.0, 1.0, 3.0, 5.0, 9.0]), [0.0, 0.0, 1.75, 3.5, 3.5], rtol=1e-15)
     t = np.linspace(1.0, 5.0, 40_001)
-    rate = shape.rate(t)
-    assert rate.max() == pytest.approx(1.875 * 3.5 / 4.0, rel=1e-12)
-    assert np.abs(np.gradient(rate, t)).max() == pytest.approx(10.0 / math.sqrt(3.0) * 3.5 / 16.0, rel=1e-6)
+    rate = np.gradient(shape.at(t), t)
+    assert rate.max() == pytest.approx(1.875 * 3.5 / 4.0, rel=1e-7)
+    assert np.abs(np.gradient(rate, t)).max() == pytest.approx(10.0 / math.sqrt(3.0) * 3.5 / 16.0, rel=1e-5)
 
 
-def test_jumps_belong_to_the_time_after_them() -> None:
+def test_steps_gusts_and_sums_have_the_values_of_their_formulas() -> None:
     assert_array_equal(Step(after=2.0, time=1.0).at([0.999, 1.0]), [0.0, 2.0])
-
-
-def test_a_gust_peaks_halfway() -> None:
-    assert_allclose(
-        Gust(peak=20.0, start=3.0, duration=2.0).at([3.0, 3.5, 4.0, 4.5, 5.0]), [0, 10, 20, 10, 0], atol=1e-14
-    )
-
-
-def test_shapes_add_up() -> None:
-    total = Constant(value=5.0) + Gust(peak=10.0, start=0.0, duration=2.0) + 1
-    assert_allclose(total.at([1.0, 3.0]), [16.0, 6.0])
+    gust = Gust(peak=20.0, start=3.0, duration=2.0)
+    assert_allclose(gust.at([3.0, 3.5, 4.0, 4.5, 5.0]), [0, 10, 20, 10, 0], atol=1e-14)
+    assert_allclose((Constant(value=5.0) + gust + 1).at([4.0, 6.0]), [26.0, 6.0])
 
 
 # ---- the paper's signals
@@ -195,7 +154,7 @@ def test_the_general_trajectory_has_the_published_signals() -> None:
 
 def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth() -> None:
     test = load_scenario("general-trajectory")
-    rate = test.reference_rate_at(np.arange(0.0, 200.0, 0.01))
+    rate = derivative(test.reference_at, np.arange(0.01, 199.99, 0.01))
     assert np.abs(rate).max() == pytest.approx(2.6, abs=0.05)
     assert np.abs(np.diff(rate)).max() < 0.25 * 0.01  # no kink: lateral acceleration stays below 0.25 m/s^2
 
@@ -203,26 +162,18 @@ def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth() -> None
 # ---- manoeuvres
 
 
-def test_every_name_loads_and_is_described() -> None:
-    listed = list_scenarios()
-    assert list(listed) == NAMES
-    for name, description in listed.items():
-        loaded = load_scenario(name)
-        assert loaded.name == name
-        assert loaded.description == description
-        assert "\n" not in description
-
-
-def test_scenarios_are_made_and_described_without_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_name_loads_and_is_described_also_without_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
     from adaptrack.scenario import drives, library
 
     listed = list_scenarios()
+    assert list(listed) == NAMES
     for made in (library.step, library.lane_change, library.double_lane_change, library.sine, library.random_drive):
         assert listed[made.__name__.replace("_", "-")] == str(made.__doc__).partition("\n")[0]
         monkeypatch.setattr(made, "__doc__", None)  # as ``python -OO`` leaves it
     monkeypatch.setattr(drives.random_drive, "__doc__", None)
     assert list_scenarios() == listed
-    assert all(load_scenario(name).description == line for name, line in listed.items())
+    for name, description in listed.items():
+        assert (load_scenario(name).name, load_scenario(name).description) == (name, description)
 
 
 def test_the_step_is_the_tuning_test_of_the_paper() -> None:
@@ -234,30 +185,23 @@ def test_the_step_is_the_tuning_test_of_the_paper() -> None:
     assert load_scenario("step", amplitude=-7.0).initial_y == 0.0
 
 
-@pytest.mark.parametrize(("amplitude", "friction"), [(7.0, 0.5), (-7.0, 0.9), (0.5, 0.9)])
-def test_the_lane_change_uses_35_percent_of_the_friction(amplitude: float, friction: float) -> None:
-    test = load_scenario("lane-change", amplitude=amplitude, friction=friction, gust=25.0)
-    assert isinstance(test.reference, LaneChange)
-    expected = max(2.0, math.sqrt(5.77 * abs(amplitude) / (0.35 * friction * 9.80665)))
-    assert test.reference.duration == pytest.approx(expected, rel=1e-3)
-    signals = test.sample(0.05)
-    assert signals.n == 160
-    assert signals.y_ref[0] == 0.0
-    assert signals.y_ref[-1] == pytest.approx(amplitude, abs=1e-12)
-    blown = signals.t[signals.wind[:, 1] > 0.0]
-    assert signals.wind[:, 1].max() == pytest.approx(25.0)
-    assert blown[-1] - blown[0] == pytest.approx(2.0, abs=0.11)
+def test_the_lane_change_uses_35_percent_of_the_lowest_friction() -> None:
+    for amplitude, friction in ((7.0, 0.5), (-7.0, 0.9), (0.5, 0.9)):
+        test = load_scenario("lane-change", amplitude=amplitude, friction=friction, gust=25.0)
+        assert isinstance(test.reference, LaneChange)
+        duration = max(2.0, math.sqrt(5.77 * abs(amplitude) / (0.35 * friction * 9.80665)))
+        assert test.reference.duration == pytest.approx(duration, rel=1e-3)
+        signals = test.sample(0.05)
+        assert signals.y_ref[[0, -1]] == pytest.approx([0.0, amplitude], abs=1e-12)
+        assert signals.wind[:, 1].max() == pytest.approx(25.0)
+    split = load_scenario("lane-change", friction=[0.9, {"shape": "step", "before": 0.9, "after": 0.4, "time": 2.0}])
+    assert split.reference == load_scenario("lane-change", friction=0.4).reference
 
 
 def test_a_slow_lane_change_heads_at_most_a_quarter_radian_off_the_road() -> None:
     test = load_scenario("lane-change", amplitude=5.0, friction=0.9, speed=4.0, duration=20.0)
     times = np.linspace(0.0, 20.0, 4001)
-    assert np.abs(test.reference_rate_at(times)).max() / 4.0 == pytest.approx(0.25, rel=1e-3)
-
-
-def test_the_lane_change_looks_at_the_slipperiest_wheel() -> None:
-    split = load_scenario("lane-change", friction=[0.9, {"shape": "step", "before": 0.9, "after": 0.4, "time": 2.0}])
-    assert split.reference == load_scenario("lane-change", friction=0.4).reference
+    assert np.abs(derivative(test.reference_at, times)).max() / 4.0 == pytest.approx(0.25, rel=1e-3)
 
 
 def test_the_double_lane_change_keeps_to_the_sections_of_the_track() -> None:
@@ -278,43 +222,33 @@ def test_the_sine_swings_by_its_amplitude() -> None:
     assert (signals.y_ref[:101] == 0.0).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_scenario_takes_the_common_options(name: str) -> None:
-    test = load_scenario(name, speed=12.0, friction=[0.9, 0.4], wind={"x": -5.0}, duration=3.0, start_y=0.25)
-    signals = test.sample()
-    assert signals.n == 30
-    assert_array_equal(signals.speed, 12.0)
-    assert_array_equal(signals.friction, np.tile([0.9, 0.4, 0.9, 0.4], (31, 1)))
-    assert_allclose(signals.wind, np.tile([-5.0 * test.wind_gain, 0.0], (31, 1)))
-    assert test.initial_y == 0.25
-
-
-def test_options_have_the_defaults_that_are_told() -> None:
+def test_every_scenario_takes_the_common_options_and_has_the_defaults_that_are_listed() -> None:
     for name in NAMES:
+        test = load_scenario(name, speed=12.0, friction=[0.9, 0.4], wind={"x": -5.0}, duration=3.0, start_y=0.25)
+        signals = test.sample()
+        assert signals.n == 30
+        assert_array_equal(signals.speed, 12.0)
+        assert_array_equal(signals.friction, np.tile([0.9, 0.4, 0.9, 0.4], (31, 1)))
+        assert_allclose(signals.wind, np.tile([-5.0 * test.wind_gain, 0.0], (31, 1)))
+        assert test.initial_y == 0.25
         assert load_scenario(name, **scenario_options(name)) == load_scenario(name)
 
 
 # ---- samples
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("period", [0.1, 0.05, 0.03])
-def test_samples_are_the_functions_at_the_control_instants(name: str, period: float) -> None:
-    test = load_scenario(name)
-    signals = test.sample(period)
-    n = round(test.duration / period)
-    assert signals.n == n
-    assert_allclose(signals.t, np.arange(n + 1) * period, rtol=1e-14)
-    shapes = {"t": (n + 1,), "y_ref": (n + 1,), "speed": (n + 1,), "friction": (n + 1, 4), "wind": (n + 1, 2)}
-    for field, shape in shapes.items():
-        values = getattr(signals, field)
-        assert values.shape == shape
-        assert values.dtype == np.float64
-        assert values.flags.c_contiguous
-    assert_array_equal(signals.y_ref, test.reference_at(signals.t))
-    assert_array_equal(signals.speed, test.speed_at(signals.t))
-    assert_array_equal(signals.friction, test.friction_at(signals.t))
-    assert_array_equal(signals.wind, test.wind_at(signals.t))
+@pytest.mark.parametrize("period", [0.1, 0.03])
+def test_samples_are_the_functions_at_the_control_instants(period: float) -> None:
+    for test in map(load_scenario, NAMES):
+        signals = test.sample(period)
+        n = round(test.duration / period)
+        assert signals.n == n
+        assert_allclose(signals.t, np.arange(n + 1) * period, rtol=1e-14)
+        functions = {"y_ref": "reference_at", "speed": "speed_at", "friction": "friction_at", "wind": "wind_at"}
+        for field, function in functions.items():
+            values = getattr(signals, field)
+            assert_array_equal(values, getattr(test, function)(signals.t), strict=True)
+            assert values.flags.c_contiguous
 
 
 def test_instants_are_the_nearest_numbers_to_the_decimal_ones() -> None:
@@ -322,25 +256,16 @@ def test_instants_are_the_nearest_numbers_to_the_decimal_ones() -> None:
     assert scenario(reference=Step(after=2.0, time=0.7)).sample(0.1).y_ref[7] == 2.0
 
 
-def test_a_period_must_fit_into_the_duration() -> None:
-    for period in (0.0, -0.1, math.nan, math.inf, 100.0, 1e-9, 1e-320):
-        with pytest.raises(InvalidInput, match="period"):
-            scenario().sample(period)
-
-
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
         ("period", 0.0, "period"),
         ("t", [0.0, 0.1, 0.3], r"t\[2\] = 0.3 s; it must be 2 periods"),
-        ("t", [0.0, math.nan, 0.2], "t is nan at sample 1"),
         ("y_ref", [0.0, math.inf, 0.0], "y_ref is inf at t = 0.1 s: must be finite"),
         ("y_ref", [0.0, 0.0], r"y_ref has shape \(2,\); with 3 instants it must be \(3,\)"),
         ("speed", [0.0, 1.0, -1.0], "speed is -1.0 at t = 0.2 s"),
         ("friction", np.ones((3, 2)), r"friction has shape \(3, 2\)"),
-        ("friction", np.zeros((3, 4)), "friction is 0.0"),
         ("friction", np.full((3, 4), 80.0), "a coefficient such as 0.8"),
-        ("wind", np.zeros(3), r"wind has shape \(3,\)"),
     ],
 )
 def test_signals_refuse_what_no_simulation_can_use(field: str, value: object, message: str) -> None:
@@ -355,6 +280,9 @@ def test_signals_refuse_what_no_simulation_can_use(field: str, value: object, me
     Signals(**good)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match=message):
         Signals(**(good | {field: value}))  # type: ignore[arg-type]
+    for period in (0.0, math.nan, 100.0, 1e-320):
+        with pytest.raises(InvalidInput, match="period"):
+            scenario().sample(period)
 
 
 def test_signals_keep_their_own_copy() -> None:
@@ -381,17 +309,14 @@ def test_the_last_patch_counts_while_it_lasts() -> None:
     assert_array_equal(friction[:, 2:], friction[:, :2])
 
 
-def test_wind_has_three_spellings() -> None:
+def test_wind_has_three_spellings_and_a_gain() -> None:
     lateral = scenario(wind=3.0)
     assert_array_equal(lateral.wind_at(0.0), [0.0, 3.0])
     assert lateral == scenario(wind=[0.0, 3.0]) == scenario(wind={"y": 3.0}) == scenario(wind=Wind(y=as_shape(3.0)))
-
-
-def test_the_gain_multiplies_the_wind() -> None:
     assert_array_equal(scenario(wind=[1.0, 3.0], wind_gain=2.0).wind_at(0.0), [2.0, 6.0])
 
 
-def test_a_car_starts_on_the_reference_unless_told_otherwise() -> None:
+def test_a_car_starts_on_the_reference_by_default() -> None:
     assert scenario(reference=4.0).initial_y == 4.0
     assert scenario(reference=4.0, start_y=1.0).initial_y == 1.0
 
@@ -410,18 +335,17 @@ RICH = scenario(
 )
 
 
-@pytest.mark.parametrize("test", [RICH, *map(load_scenario, NAMES)], ids=["rich", *NAMES])
-def test_mirroring_exchanges_left_and_right_and_twice_is_identity(test: Scenario) -> None:
-    mirrored = test.mirrored()
-    here, there = test.sample(), mirrored.sample()
-    assert_array_equal(there.y_ref, -here.y_ref)
-    assert_array_equal(there.speed, here.speed)
-    assert_array_equal(there.friction, here.friction[:, [1, 0, 3, 2]])
-    assert_array_equal(there.wind, here.wind * [1.0, -1.0])
-    assert mirrored.initial_y == -test.initial_y
-    assert mirrored.start_heading == -test.start_heading
-    assert mirrored.name != test.name
-    assert mirrored.mirrored() == test
+def test_mirroring_exchanges_left_and_right_and_twice_is_identity() -> None:
+    for test in (RICH, *map(load_scenario, NAMES)):
+        mirrored = test.mirrored()
+        here, there = test.sample(), mirrored.sample()
+        assert_array_equal(there.y_ref, -here.y_ref)
+        assert_array_equal(there.speed, here.speed)
+        assert_array_equal(there.friction, here.friction[:, [1, 0, 3, 2]])
+        assert_array_equal(there.wind, here.wind * [1.0, -1.0])
+        assert (mirrored.initial_y, mirrored.start_heading) == (-test.initial_y, -test.start_heading)
+        assert mirrored.name != test.name
+        assert mirrored.mirrored() == test
     assert load_scenario("sine", mirrored=True) == load_scenario("sine").mirrored()
 
 
@@ -471,20 +395,14 @@ def test_bad_arrays_are_refused(changes: dict[str, object], message: str) -> Non
         Scenario.from_arrays(**(good | changes))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("test", [RICH, *map(load_scenario, NAMES)], ids=["rich", *NAMES])
-def test_a_scenario_survives_its_file(test: Scenario, tmp_path: Path) -> None:
+def test_a_scenario_survives_its_file_which_has_one_point_per_line(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    test.to_toml(path)
-    assert load_scenario(path) == test
+    knots = scenario(name="mine", reference=Knots(points=POINTS), description="of [ 1, 2 ] things")
+    for test in (RICH, *map(load_scenario, NAMES), knots):
+        test.to_toml(path)
+        assert load_scenario(path) == test
+    assert "    [2.5, 2.0],\n" in path.read_text()
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_written_file_has_one_point_per_line(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    scenario(reference=Knots(points=POINTS), description="of [ 1, 2 ] things").to_toml(path)
-    text = path.read_text()
-    assert "    [2.5, 2.0],\n" in text
-    assert tomllib.loads(text)["description"] == "of [ 1, 2 ] things"
 
 
 def test_a_file_may_use_numbers_and_shapes(tmp_path: Path) -> None:
@@ -537,15 +455,12 @@ def test_a_csv_file_may_split_friction_and_wind(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("2,1,12", "0.5,1,12", r"line 4: t = 0.5 does not come after t = 0.5 in line 3; sort the rows"),
-        ("2,1,12", "0.1,1,12", r"line 4: t = 0.1 does not come after"),
         ("0.5,1,11", "0.5,nan,11", r"line 3: y_ref = 'nan' is not a finite number; correct it or remove the row"),
-        ("0.5,1,11", "0.5,,11", r"line 3: y_ref = ''"),
         ("0.5,1,11", "0.5,fast,11", r"line 3: y_ref = 'fast'"),
         ("0.5,1,11", "0.5,11", r"line 3: 4 cells, but the header has 5 columns"),
         ("1,11", "1,-11", r"line 3: speed = '-11' must be >= 0"),
         ("0.8", "80", r"line 2: friction = '80' must be a coefficient such as 0.8"),
         ("y_ref", "yref", r"line 1: unknown column 'yref'. Did you mean 'y_ref'\?"),
-        ("friction,", "y_ref,", r"line 1: the column 'y_ref' stands there twice"),
         ("friction,", "friction_left,", r"line 1: column 'friction_right' is missing"),
         ("speed,friction", "friction_left,friction", r"line 1: the friction is given twice"),
         (",wind_y\n", "\n", r"line 1: column 'wind_y' is missing"),
@@ -572,14 +487,11 @@ TOML = "duration = 5.0\nreference = 1.0\nspeed = 10.0\nfriction = 0.8\n"
         ("duration = 5.0", "duration = 0.0", "duration = 0.0: must be a finite number > 0"),
         ("10.0", "-10.0", "speed is -10.0 at t = 0 s: must be >= 0"),
         ("10.0", "'fast'", "speed = 'fast': give a number, or a table"),
-        ("10.0", "nan", "speed = nan"),
         ("10.0", "{ shape = 'setp', after = 3.0 }", "unknown shape 'setp'. Did you mean 'step'"),
         ("10.0", "{ after = 3.0 }", "no key 'shape'; give one of 'constant'"),
         ("10.0", "{ shape = 'step', after = 3.0, tmie = 2.0 }", "tmie: unknown key. Did you mean 'time'"),
         ("10.0", "{ shape = 'knots', points = [[0, 1], [0, 2]] }", "the times must increase"),
-        ("10.0", "{ shape = 'knots', points = [] }", "at least one"),
         ("0.8", "[0.8, 0.8, 0.8]", "one value, .left, right., or"),
-        ("0.8", "0.8\nwind = { z = 3.0 }", "z: unknown key"),
         ("0.8", "0.8\nwind = [1, 2, 3]", "the pair"),
         ("0.8", "0.8\nfriction_patches = [{ start = 2.0, end = 1.0, friction = 0.3 }]", "must end after its start"),
         ("0.8", "0.8\nfriction_patches = [{ start = 2.0, end = 3.0, friction = 0.3, wheels = 'l' }]", "'left'"),
@@ -595,56 +507,32 @@ def test_a_bad_scenario_file_is_refused_with_key_and_remedy(tmp_path: Path, old:
         load_scenario(path)
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    for name in ("none.toml", "none.csv"):
-        with pytest.raises(StorageError, match=name):
-            load_scenario(tmp_path / name)
-
-
-def test_unknown_names_and_options_show_the_nearest() -> None:
-    with pytest.raises(UnknownName, match="Did you mean 'triple-lane-change'"):
-        load_scenario("tripel-lane-change")
-    with pytest.raises(UnknownName, match=r"scenario 'sine' has no option 'freqency'. Did you mean 'frequency'"):
-        load_scenario("sine", freqency=1.0)
-    with pytest.raises(UnknownName, match="Did you mean 'wind_gain'"):
-        load_scenario("triple-lane-change", windgain=1.0)
-    with pytest.raises(InvalidInput, match=r"no window 'ful'. Did you mean 'full'"):
-        load_scenario("triple-lane-change", window="ful")
-    with pytest.raises(InvalidInput, match="either a window or a duration"):
-        load_scenario("triple-lane-change", window="full", duration=3.0)
-    with pytest.raises(InvalidInput, match="lengths become times"):
-        load_scenario("double-lane-change", speed=0.0)
-
-
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("name", "options", "error", "words"),
     [
-        ("lane-change", {"amplitude": "3"}),
-        ("lane-change", {"amplitude": math.nan}),
-        ("lane-change", {"change_time": -1.0}),
-        ("lane-change", {"friction": 0.0}),
-        ("lane-change", {"duration": math.nan}),
-        ("double-lane-change", {"amplitude": [1.0]}),
-        ("double-lane-change", {"speed": {"shape": "constant", "value": 3.0}}),
-        ("double-lane-change", {"speed": True}),
-        ("sine", {"frequency": -1.0}),
-        ("step", {"amplitude": math.inf}),
-        ("step", {"mirrored": "no"}),
-        ("triple-lane-change", {"window": 28.0}),
-        ("triple-lane-change", {"wind_gain": math.nan}),
+        ("none.toml", {}, StorageError, "none.toml"),
+        ("none.csv", {}, StorageError, "none.csv"),
+        ("tripel-lane-change", {}, UnknownName, "Did you mean 'triple-lane-change'"),
+        ("sine", {"freqency": 1.0}, UnknownName, "'sine' has no option 'freqency'. Did you mean 'frequency'"),
+        ("triple-lane-change", {"windgain": 1.0}, UnknownName, "Did you mean 'wind_gain'"),
+        ("triple-lane-change", {"window": "ful"}, InvalidInput, "no window 'ful'. Did you mean 'full'"),
+        ("triple-lane-change", {"window": "full", "duration": 3.0}, InvalidInput, "either a window or a duration"),
+        ("triple-lane-change", {"window": 28.0}, InvalidInput, "window"),
+        ("double-lane-change", {"speed": 0.0}, InvalidInput, "lengths become times"),
+        ("double-lane-change", {"speed": {"shape": "constant", "value": 3.0}}, InvalidInput, "speed"),
+        ("lane-change", {"amplitude": "3"}, InvalidInput, "amplitude"),
+        ("lane-change", {"amplitude": math.nan}, InvalidInput, "amplitude"),
+        ("lane-change", {"change_time": -1.0}, InvalidInput, "duration"),
+        ("lane-change", {"friction": 0.0}, InvalidInput, "friction"),
+        ("sine", {"frequency": -1.0}, InvalidInput, "frequency"),
+        ("step", {"mirrored": "no"}, InvalidInput, "mirrored"),
     ],
 )
-def test_options_of_a_wrong_kind_or_size_are_refused(name: str, options: dict[str, object]) -> None:
-    with pytest.raises(InvalidInput, match=next(iter(options)).replace("change_time", "duration")):
+def test_unknown_names_and_impossible_options_are_refused(
+    name: str, options: dict[str, object], error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
         load_scenario(name, **options)
-
-
-def test_scenarios_need_neither_scipy_nor_numba() -> None:
-    program = (
-        "import sys; from adaptrack.scenario import load_scenario; load_scenario('general-trajectory').sample();"
-        "assert not {'scipy', 'numba', 'matplotlib', 'sklearn'} & sys.modules.keys()"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
 def test_controllers_and_the_page_of_a_run_load_no_more_of_scipy_than_numba_does() -> None:

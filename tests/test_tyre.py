@@ -1,5 +1,6 @@
 """Tyre laws keep what their names promise: slope, peak, load dependence, symmetry, friction ellipse."""
 
+import itertools
 import math
 
 import numpy as np
@@ -59,50 +60,30 @@ def friction_force(tyre, load, friction):
 
 
 def test_each_law_is_chosen_by_its_parameters():
-    laws = {}
-    for name, tyre in TYRES.items():
-        laws[name] = tyre_law(tyre.kind == "linear", tyre.curvature)
-    assert laws == {
-        "constant-stiffness": LINEAR,
-        "magic-formula": MAGIC_FORMULA,
-        "passenger-car": MAGIC_FORMULA,
-        "compact-ev": MAGIC_FORMULA,
-        "van": MAGIC_FORMULA,
-        "small-car": CURVED_MAGIC_FORMULA,
-        "sports-car": MAGIC_FORMULA,
-        "model-car": MAGIC_FORMULA,
-        "curved": CURVED_MAGIC_FORMULA,
-    }
+    laws = {name: tyre_law(tyre.kind == "linear", tyre.curvature) for name, tyre in TYRES.items()}
+    curved = dict.fromkeys(("small-car", "curved"), CURVED_MAGIC_FORMULA)
+    assert laws == dict.fromkeys(TYRES, MAGIC_FORMULA) | {"constant-stiffness": LINEAR} | curved
 
 
-@pytest.mark.parametrize("load", LOADS)
-def test_the_slope_at_the_origin_is_the_cornering_stiffness(tyre, force, load):
-    slip = 1e-6
-    expected = cornering_stiffness(tyre, tyre.stiffness_front, load)
-    friction = 0.7
+def test_the_slope_at_the_origin_is_the_cornering_stiffness(tyre, force):
+    slip, friction = 1e-6, 0.7
     scaled = friction if tyre.kind == "linear" else 1.0  # the released tyre's stiffness is scaled by friction
-    assert (force(slip, load, friction) - force(-slip, load, friction)) / (2 * slip) == pytest.approx(
-        expected * scaled, rel=1e-7
-    )
+    for load in LOADS:
+        stiffness = cornering_stiffness(tyre, tyre.stiffness_front, load)
+        slope = (force(slip, load, friction) - force(-slip, load, friction)) / (2 * slip)
+        assert slope == pytest.approx(stiffness * scaled, rel=1e-7)
 
 
 @saturating
-@pytest.mark.parametrize("load", LOADS)
-@pytest.mark.parametrize("friction", FRICTIONS)
-def test_the_peak_is_friction_times_load(tyre, force, load, friction):
-    grip = friction_force(tyre, load, friction)
-    forces = [force(slip, load, friction) for slip in np.linspace(0.0, 3.0, 3001).tolist()]
-    assert max(forces) == pytest.approx(grip, rel=1e-4)
-    assert max(forces) <= grip * (1 + 1e-12)
-
-
-@saturating
-def test_beyond_its_peak_the_force_falls_but_never_turns(tyre, force):
-    forces = np.array([force(slip, 3000.0, 0.8) for slip in np.linspace(0.0, 3.0, 601).tolist()])
-    top = forces.argmax()
-    assert (np.diff(forces[: top + 1]) > 0).all()
-    assert (np.diff(forces[top:]) < 0).all()
-    assert (forces[1:] > 0).all()
+def test_the_peak_is_friction_times_load_and_beyond_it_the_force_falls_but_never_turns(tyre, force):
+    for load, friction in itertools.product(LOADS, FRICTIONS):
+        grip = friction_force(tyre, load, friction)
+        forces = np.array([force(slip, load, friction) for slip in np.linspace(0.0, 3.0, 1001).tolist()])
+        assert grip * (1 - 1e-3) <= forces.max() <= grip * (1 + 1e-12)
+        top = forces.argmax()
+        assert (np.diff(forces[: top + 1]) > 0).all()
+        assert (np.diff(forces[top:]) < 0).all()
+        assert (forces[1:] > 0).all()
 
 
 def test_a_linear_tyre_is_linear_in_slip_friction_and_load():
@@ -128,38 +109,25 @@ def test_a_digressive_stiffness_peaks_at_its_load_ratio():
     assert (np.diff(values[loads < tyre.digressive_load_ratio], 2) < 0).all()  # ever less for each newton
 
 
-def test_friction_falls_with_load_by_its_sensitivity():
+def test_friction_falls_with_load_by_its_sensitivity_to_a_tenth():
     tyre = TYRES["passenger-car"]
     force = compiled(tyre)
 
-    def best(load):
-        return max(force(slip, load, 1.0) for slip in np.linspace(0.0, 2.0, 4001).tolist())
+    def share(load):
+        return max(force(slip, load, 1.0) for slip in np.linspace(0.0, 3.0, 4001).tolist()) / load
 
-    once, twice = best(tyre.nominal_load), best(2 * tyre.nominal_load)
-    assert once == pytest.approx(tyre.nominal_load, rel=1e-6)
-    assert twice / 2 == pytest.approx(once * (1 - tyre.friction_load_sensitivity), rel=1e-6)
-
-
-def test_an_overloaded_tyre_keeps_a_tenth_of_its_friction():
-    force = compiled(TYRES["passenger-car"])
-    best = max(force(slip, 40000.0, 0.9) for slip in np.linspace(0.0, 3.0, 3001).tolist())
-    assert best == pytest.approx(0.1 * 0.9 * 40000.0, rel=1e-4)
+    assert share(tyre.nominal_load) == pytest.approx(1.0, rel=1e-6)
+    assert share(2 * tyre.nominal_load) == pytest.approx(1 - tyre.friction_load_sensitivity, rel=1e-6)
+    assert share(40000.0) == pytest.approx(0.1, rel=1e-4)
 
 
-def test_left_and_right_slip_push_alike(force, rng):
-    for slip, load, friction in rng.uniform([0, 100, 0.05], [0.6, 8000, 1.2], (200, 3)).tolist():
-        assert force(-slip, load, friction) == -force(slip, load, friction)
-    assert force(0.0, 4000.0, 0.9) == 0.0
-
-
-def test_the_force_is_that_of_the_formula_written_with_libm(tyre, force, rng):
-    for slip, load, friction in rng.uniform([-0.6, 50, 0.05], [0.6, 8000, 1.2], (500, 3)).tolist():
+def test_the_force_is_that_of_the_formula_written_with_libm_and_odd_in_slip(tyre, force, rng):
+    for slip, load, friction in rng.uniform([0, 50, 0.05], [0.6, 8000, 1.2], (300, 3)).tolist():
         expected = tyre_force(tyre, tyre.stiffness_front, slip, load, friction)
         assert force(slip, load, friction) == pytest.approx(expected, rel=1e-12, abs=1e-9)
-
-
-def test_ice_without_any_friction_gives_no_force(tyre, force):
-    assert abs(force(0.3, 4000.0, 0.0)) < 1e-3
+        assert force(-slip, load, friction) == -force(slip, load, friction)
+    assert force(0.0, 4000.0, 0.9) == 0.0
+    assert abs(force(0.3, 4000.0, 0.0)) < 1e-3  # on ice
 
 
 def test_lateral_and_longitudinal_force_share_a_circle(rng):
@@ -168,9 +136,6 @@ def test_lateral_and_longitudinal_force_share_a_circle(rng):
         left = friction_ellipse(along * grip, load, friction)
         assert (left * grip) ** 2 + (along * grip) ** 2 == pytest.approx(grip**2, rel=1e-12) or left == 0.1
     assert friction_ellipse(0.0, 3000.0, 0.8) == 1.0
-
-
-def test_a_locked_wheel_keeps_a_tenth_of_its_lateral_force():
     assert friction_ellipse(5000.0, 3000.0, 0.8) == pytest.approx(0.1)
     assert friction_ellipse(0.0, 3000.0, 0.0) == 1.0
     assert math.isfinite(friction_ellipse(100.0, 0.0, 0.0))

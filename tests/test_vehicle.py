@@ -29,6 +29,8 @@ from adaptrack.cars.vehicle import (
     load_vehicle,
     pack_plant,
 )
+from adaptrack.core.synthesis.plant import stiffness_coefficients
+from adaptrack.scenario.profile import Profile
 
 OWN_CAR = """\
 mass = 1500
@@ -47,24 +49,6 @@ PAPER_TABLE = {
     "stiffness_front": 19000,
     "stiffness_rear": 33000,
 }
-
-
-class Pac2002:
-    """MSC Adams/Tire, example file of a 235/60 R16 tyre: the published figures behind `passenger-car`."""
-
-    FNOMIN = 4850.0
-    R0 = 0.344
-    PCY1 = 1.3507
-    PDY1, PDY2 = 1.0489, -0.18033
-    PEY1 = -0.0074722
-    PKY1, PKY2 = -21.92, 2.0012
-    PTY1, PTY2 = 2.1439, 1.9829
-
-    def stiffness(self, load: float) -> float:
-        return -self.PKY1 * self.FNOMIN * math.sin(2 * math.atan(load / (self.PKY2 * self.FNOMIN)))
-
-    def relaxation_length(self, load: float) -> float:
-        return self.PTY1 * self.R0 * math.sin(2 * math.atan(load / (self.PTY2 * self.FNOMIN)))
 
 
 def car(**changes) -> Vehicle:
@@ -118,21 +102,19 @@ def lateral_matrices(vehicle: Vehicle, vx: float) -> tuple[np.ndarray, np.ndarra
 
 
 class TestNamedSets:
-    @pytest.mark.parametrize("name", list_vehicles())
-    def test_every_named_vehicle_loads_and_names_a_tyre_that_exists(self, name):
-        vehicle = load_vehicle(name)
-        assert vehicle.name == name
-        assert vehicle.description
-        assert load_tyre(vehicle.tyre).name in list_tyres()
-
-    @pytest.mark.parametrize("name", list_tyres())
-    def test_every_named_tyre_loads(self, name):
-        assert load_tyre(name).name == name
-        assert load_tyre(name).description
-
-    def test_the_published_names_are_there(self):
+    def test_every_named_vehicle_and_tyre_loads_and_a_model_has_the_stiffness_of_its_tyres_at_rest(self):
         assert {"paper", "midsize-sedan", "compact-ev", "van"} <= set(list_vehicles())
         assert {"magic-formula", "constant-stiffness", "passenger-car"} <= set(list_tyres())
+        for name in list_tyres():
+            assert load_tyre(name).name == name
+            assert load_tyre(name).description
+        for name in list_vehicles():
+            vehicle = load_vehicle(name)
+            assert vehicle.name == name
+            assert vehicle.description
+            matched = vehicle.matched_to(load_tyre(vehicle.tyre))
+            stiffness = (vehicle.stiffness_front, vehicle.stiffness_rear)
+            assert stiffness == pytest.approx((matched.stiffness_front, matched.stiffness_rear), rel=1e-3)
 
     def test_the_paper_car_has_the_papers_table(self):
         vehicle = load_vehicle("paper")
@@ -162,13 +144,6 @@ class TestNamedSets:
         lengths = (sedan.lf, sedan.lr, sedan.track_front, sedan.track_rear, sedan.cg_height)
         assert lengths == pytest.approx([foot * x for x in (3.793293, 4.667707, 4.55, 4.475, 1.886053)], rel=1e-4)
 
-    @pytest.mark.parametrize("name", list_vehicles())
-    def test_a_prediction_model_knows_its_own_tyres_at_rest(self, name):
-        car = load_vehicle(name)
-        matched = car.matched_to(load_tyre(car.tyre))
-        assert car.stiffness_front == pytest.approx(matched.stiffness_front, rel=1e-3)
-        assert car.stiffness_rear == pytest.approx(matched.stiffness_rear, rel=1e-3)
-
     def test_the_electric_car_is_what_opendbc_makes_of_its_kerb_mass_and_wheelbase(self):
         car, mass, wheelbase = load_vehicle("compact-ev"), 1685 + 136, 2.6
         assert (car.mass, car.lf, car.lr) == pytest.approx((mass, 0.4 * wheelbase, 0.6 * wheelbase))
@@ -193,37 +168,12 @@ class TestNamedSets:
             mine, theirs = ours.stiffness_at(load, load), base.stiffness_at(load / scale, load / scale)
             assert mine == pytest.approx([scale * each for each in theirs], rel=1e-3)
 
-    def test_the_passenger_car_tyre_is_the_published_pac2002_set(self):
-        published, ours = Pac2002(), load_tyre("passenger-car")
-        for load in (500.0, 2000.0, 4400.0, 4850.0, 8000.0):
-            assert ours.stiffness_at(load, load) == pytest.approx([published.stiffness(load)] * 2, rel=1e-4)
-        assert ours.nominal_load == published.FNOMIN
-        assert ours.shape == published.PCY1
-        assert ours.friction_load_sensitivity == pytest.approx(-published.PDY2 / published.PDY1, rel=1e-3)
-        assert ours.relaxation_length == pytest.approx(published.relaxation_length(3300), rel=0.01)
-
-    def test_leaving_out_the_published_curvature_moves_no_force_by_a_thousandth_of_its_peak(self):
-        slope = np.linspace(0, 50, 5001)  # B alpha
-
-        def force(curvature):
-            return np.sin(Pac2002.PCY1 * np.arctan(slope - curvature * (slope - np.arctan(slope))))
-
-        assert load_tyre("passenger-car").curvature == 0.0
-        assert np.abs(force(Pac2002.PEY1) - force(0.0)).max() < 1e-3
-
-    def test_an_unknown_name_is_answered_with_the_nearest(self):
-        with pytest.raises(UnknownName, match=r"no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'\?"):
-            load_vehicle("midsize-sedn")
-        with pytest.raises(UnknownName, match="Did you mean 'passenger-car'"):
-            load_tyre("passanger-car")
-        with pytest.raises(InvalidInput, match="= 3: must be text or a path"):
-            load_vehicle(3)
-
 
 class TestFields:
-    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator, Steering])
+    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator, Steering, Profile])
     def test_every_number_says_its_unit_and_every_field_its_meaning(self, model):
         units = ("kg", "kg m^2", "kg/m^3", "m", "m^2", "N", "N/rad", "1/rad", "rad", "rad/s", "s", "W", "-")
+        units += ("m/s", "m/s^2", "m^2/rad^2")
         for name, field in model.model_fields.items():
             assert field.description, name
             if field.annotation in (float, float | None):
@@ -232,13 +182,11 @@ class TestFields:
                 assert comma
                 assert meaning
 
-    def test_values_cannot_be_changed_in_place(self):
-        with pytest.raises(ValidationError):
-            car().mass = 1.0
-
     def test_a_changed_copy_is_validated_and_the_original_kept(self):
         vehicle = car()
         assert vehicle.replace(mass=2000).mass == 2000
+        with pytest.raises(ValidationError):
+            vehicle.mass = 1.0
         assert vehicle.mass == 1575
         with pytest.raises(InvalidInput, match=r"mass = -1: must be a finite number > 0 .*kg"):
             vehicle.replace(mass=-1)
@@ -254,11 +202,11 @@ class TestFields:
             assert pickle.loads(pickle.dumps(record)) == record
             assert type(record).model_validate_json(record.model_dump_json()) == record
 
-    @pytest.mark.parametrize("value", [0, -1.0, math.nan, math.inf, -math.inf, "1575", True, None, [1.0], 10**400])
     @pytest.mark.parametrize("name", sorted(PAPER_TABLE))
-    def test_the_prediction_model_takes_positive_finite_numbers_only(self, name, value):
-        with pytest.raises(InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
-            car(**{name: value})
+    def test_the_prediction_model_takes_positive_finite_numbers_only(self, name):
+        for value in (0, -math.inf, math.nan, "1575", True, [1.0], 10**400):
+            with pytest.raises(InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
+                car(**{name: value})
 
     @pytest.mark.parametrize(
         ("changes", "message"),
@@ -273,30 +221,19 @@ class TestFields:
         with pytest.raises(InvalidInput, match=message):
             load_vehicle("midsize-sedan").replace(**changes)
 
-    @pytest.mark.parametrize("name", ["drive_front", "brake_front"])
-    def test_shares_lie_between_0_and_1(self, name):
-        assert getattr(car(**{name: 0}), name) == 0
-        assert getattr(car(**{name: 1}), name) == 1
+    def test_the_ends_of_a_range_are_in_it(self):
+        for value in (0, 1):
+            assert car(drive_front=value, brake_front=value).drive_front == value
         for value in (-0.01, 1.01):
-            with pytest.raises(InvalidInput, match=rf"{name} = {value}: must be a finite number >= 0 and <= 1 "):
-                car(**{name: value})
-
-    def test_a_relaxation_length_may_be_0_but_not_negative(self):
-        assert tyre(relaxation_length=0).relaxation_length == 0
-        with pytest.raises(InvalidInput, match=r"relaxation_length = -0.1: must be a finite number >= 0"):
-            tyre(relaxation_length=-0.1)
+            with pytest.raises(InvalidInput, match=rf"brake_front = {value}: must be a finite number >= 0 and <= 1 "):
+                car(brake_front=value)
 
 
 class TestTyre:
-    @pytest.mark.parametrize("law", ["constant", "linear", "digressive"])
-    def test_each_law_gives_the_nominal_stiffness_at_the_nominal_load(self, law):
-        ratio = 1.8 if law == "digressive" else None
-        own = tyre(stiffness_load=law, digressive_load_ratio=ratio)
-        assert own.stiffness_at(4e3, 4e3) == pytest.approx((8e4, 9e4), rel=1e-12)
-
-    def test_constant_ignores_the_load_and_linear_follows_it(self):
-        assert tyre(stiffness_load="constant").stiffness_load_coefficients == (1, 0, 0)
-        assert tyre(stiffness_load="linear").stiffness_load_coefficients == (0, 1, 0)
+    def test_each_law_has_the_nominal_stiffness_at_the_nominal_load_and_linear_follows_it(self):
+        assert tyre(stiffness_load="digressive", digressive_load_ratio=1.8).stiffness_at(4e3, 4e3) == pytest.approx(
+            (8e4, 9e4), rel=1e-12
+        )
         assert tyre(stiffness_load="constant").stiffness_at(1e3, 9e3) == (8e4, 9e4)
         assert tyre(stiffness_load="linear").stiffness_at(1e3, 8e3) == (2e4, 18e4)
 
@@ -307,31 +244,33 @@ class TestTyre:
         assert own.stiffness_at(load, load)[0] == pytest.approx(8e4 * pacejka, rel=1e-9)
         assert own.stiffness_at(load, load)[0] <= own.stiffness_at(4e3 * ratio, 4e3)[0] * (1 + 1e-12)
 
-    def test_a_digressive_law_needs_its_ratio_and_no_other_law_takes_one(self):
-        with pytest.raises(InvalidInput, match="digressive_load_ratio: a digressive stiffness needs the load ratio"):
-            tyre(stiffness_load="digressive")
-        with pytest.raises(InvalidInput, match=r"digressive_load_ratio = 2.0: only stiffness_load = 'digressive'"):
-            tyre(stiffness_load="linear", digressive_load_ratio=2.0)
-
 
 class TestActuator:
-    def test_ideal_has_no_lag_and_no_rate_limit(self):
+    def test_ideal_has_no_lag_and_no_rate_limit_and_reads_back(self, tmp_path):
         ideal = SteeringActuator.ideal()
-        assert ideal.lag == 0
-        assert ideal.rate == math.inf
+        assert (ideal.lag, ideal.rate) == (0, math.inf)
         assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
-
-    def test_a_rate_limit_without_a_lag_is_refused_because_the_plant_would_ignore_it(self):
-        with pytest.raises(InvalidInput, match=r"rate = 0.5: a rate limit acts on the lag: give lag > 0"):
-            SteeringActuator(rate=0.5)
+        ideal.to_toml(tmp_path / "ideal.toml")
+        assert build(SteeringActuator, read_toml(tmp_path / "ideal.toml"), "ideal") == ideal
 
     @pytest.mark.parametrize(
-        "changes", [{"rate": math.nan}, {"rate": 0}, {"lag": -0.1}, {"limit": 2.0}, {"limit": math.nan}]
+        ("make", "words"),
+        [
+            (lambda: tyre(relaxation_length=-0.1), "relaxation_length = -0.1: must be a finite number >= 0"),
+            (lambda: tyre(stiffness_load="digressive"), "a digressive stiffness needs the load ratio"),
+            (lambda: tyre(stiffness_load="linear", digressive_load_ratio=2.0), "= 2.0: only stiffness_load = 'digress"),
+            (lambda: SteeringActuator(rate=0.5), "rate = 0.5: a rate limit acts on the lag: give lag > 0"),
+            (lambda: SteeringActuator(lag=0.1, rate=0), "rate = 0"),
+            (lambda: SteeringActuator(lag=-0.1), "lag = -0.1"),
+            (lambda: SteeringActuator(limit=2.0), "limit = 2.0"),
+            (lambda: load_vehicle("midsize-sedn"), "no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'"),
+            (lambda: load_tyre("passanger-car"), "Did you mean 'passenger-car'"),
+            (lambda: load_vehicle(3), "= 3: must be text or a path"),
+        ],
     )
-    def test_impossible_values_are_refused(self, changes):
-        (name,) = changes
-        with pytest.raises(InvalidInput, match=f"{name} = "):
-            SteeringActuator(**{"lag": 0.1, **changes})
+    def test_impossible_tyres_steering_and_names_are_refused(self, make, words):
+        with pytest.raises((InvalidInput, UnknownName), match=words):
+            make()
 
 
 class TestSteadyTurn:
@@ -345,10 +284,9 @@ class TestSteadyTurn:
 
     @given(vehicle=cars)
     def test_understeer_gradient_is_the_difference_of_the_slip_angles_per_lateral_acceleration(self, vehicle):
-        front = (
-            vehicle.mass * vehicle.lr / vehicle.wheelbase / (2 * vehicle.stiffness_front)
-        )  # F = m a_y share = 2 C alpha
-        rear = vehicle.mass * vehicle.lf / vehicle.wheelbase / (2 * vehicle.stiffness_rear)
+        share = vehicle.mass / vehicle.wheelbase  # F = m a_y share = 2 C alpha
+        front = share * vehicle.lr / (2 * vehicle.stiffness_front)
+        rear = share * vehicle.lf / (2 * vehicle.stiffness_rear)
         assert vehicle.understeer_gradient == pytest.approx(front - rear, rel=1e-9, abs=1e-12)
 
     def test_an_understeering_car_has_its_largest_yaw_gain_at_the_characteristic_speed(self):
@@ -363,6 +301,9 @@ class TestSteadyTurn:
         vehicle = car(stiffness_front=60e3, stiffness_rear=30e3)
         critical = vehicle.critical_speed
         assert vehicle.characteristic_speed == math.inf
+        for vx in (-1.0, math.nan, math.inf, 1000.0):
+            with pytest.raises(InvalidInput, match="steady_state_yaw_gain: vx = "):
+                vehicle.steady_state_yaw_gain(vx)
         assert np.linalg.eigvals(lateral_matrices(vehicle, 0.99 * critical)[0]).real.max() < 0
         assert np.linalg.eigvals(lateral_matrices(vehicle, 1.01 * critical)[0]).real.max() > 0
 
@@ -371,11 +312,6 @@ class TestSteadyTurn:
         assert vehicle.understeer_gradient == 0
         assert vehicle.characteristic_speed == vehicle.critical_speed == math.inf
         assert vehicle.steady_state_yaw_gain(28.0) == pytest.approx(10.0)
-
-    @pytest.mark.parametrize("vx", [-1.0, math.nan, math.inf, 1000.0])
-    def test_no_steady_turn_is_promised_where_there_is_none(self, vx):
-        with pytest.raises(InvalidInput, match="steady_state_yaw_gain: vx = "):
-            car(stiffness_front=60e3, stiffness_rear=30e3).steady_state_yaw_gain(vx)
 
     @given(vehicle=cars)
     def test_static_loads_carry_the_weight_in_balance(self, vehicle):
@@ -389,9 +325,9 @@ OTHER_SLOTS = {
     "steering_rate": lambda v, t, a: a.rate,
     "steering_limit": lambda v, t, a: a.limit,
     "tyre_linear": lambda v, t, a: 1.0 if t.kind == "linear" else 0.0,
-    "stiffness_load_0": lambda v, t, a: t.stiffness_load_coefficients[0],
-    "stiffness_load_1": lambda v, t, a: t.stiffness_load_coefficients[1],
-    "stiffness_load_2": lambda v, t, a: t.stiffness_load_coefficients[2],
+    "stiffness_load_0": lambda v, t, a: stiffness_coefficients(t.numbers)[0],
+    "stiffness_load_1": lambda v, t, a: stiffness_coefficients(t.numbers)[1],
+    "stiffness_load_2": lambda v, t, a: stiffness_coefficients(t.numbers)[2],
 }
 
 
@@ -441,24 +377,17 @@ class TestPackPlant:
         elsewhere = {"vehicle": {"stiffness_front", "stiffness_rear"}, "actuator": {"dead_time", "bias"}}  # the loop's
         assert dead == elsewhere.get(kind, set())
 
-    def test_the_kind_of_tyre_is_a_number_of_the_record(self):
-        from adaptrack.core.plants.parameters import PLANT_PARAMETERS
-
-        vehicle, own, actuator = self.distinct()
-        slot = PLANT_PARAMETERS.index("tyre_linear")
-        assert pack_plant(vehicle, own, actuator)[slot] == 0
-        assert pack_plant(vehicle, own.replace(kind="linear"), actuator)[slot] == 1
-
     def test_kernels_use_the_same_gravity(self):
         from adaptrack.core.plants import forces
 
         assert forces.GRAVITY == GRAVITY
 
-    def test_describing_a_car_loads_no_compiler(self, run_python):
+    def test_describing_a_car_and_a_scenario_loads_no_compiler(self, run_python):
         loaded = run_python(
-            code="import sys; from adaptrack.cars.vehicle import load_vehicle as f; f('paper'); print(*sys.modules)"
+            code="import sys; from adaptrack.cars.vehicle import load_vehicle; load_vehicle('paper');"
+            "from adaptrack.scenario import load_scenario; load_scenario('general-trajectory'); print(*sys.modules)"
         )
-        assert not {"numba", "llvmlite", "scipy"} & set(loaded.split())
+        assert not {"numba", "llvmlite", "scipy", "matplotlib", "sklearn"} & set(loaded.split())
 
 
 class TestPage:
@@ -467,14 +396,11 @@ class TestPage:
         return (project / "docs" / "vehicles.md").read_text(encoding="utf-8")
 
     @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator])
-    def test_the_page_has_a_row_for_every_key(self, page, model):
+    def test_the_page_has_a_row_for_every_key_and_names_every_set(self, page, model):
         section = page.split(f"\n## {'Steering actuator' if model is SteeringActuator else model.__name__}\n")[1]
         rows = [line.split("|")[1] for line in section.split("\n## ")[0].splitlines() if line.startswith("| `")]
         assert set(re.findall(r"`(\w+)`", " ".join(rows))) == set(model.model_fields)
-
-    def test_the_page_names_every_vehicle_and_tyre(self, page):
-        for name in (*list_vehicles(), *list_tyres()):
-            assert f"**`{name}`**" in page
+        assert all(f"**`{name}`**" in page for name in (*list_vehicles(), *list_tyres()))
 
     def test_the_examples_of_the_page_run_one_after_the_other(self, page, run_python, tmp_path):
         (toml,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
@@ -500,15 +426,13 @@ class TestOwnFiles:
         path.write_text(text, encoding="utf-8")
         return path
 
-    def test_six_numbers_make_a_car(self, tmp_path):
+    def test_six_numbers_make_a_car_by_any_path(self, tmp_path, monkeypatch):
         vehicle = load_vehicle(self.write(tmp_path, OWN_CAR))
-        assert vehicle.name == "mine"
-        assert vehicle.mass == 1500
+        assert (vehicle.name, vehicle.mass) == ("mine", 1500)
         assert vehicle.tyre in list_tyres()
-
-    def test_text_ending_in_toml_is_a_path(self, tmp_path, monkeypatch):
-        self.write(tmp_path, OWN_CAR)
         monkeypatch.chdir(tmp_path)
+        (tmp_path / "windows.toml").write_bytes(b"\xef\xbb\xbf" + OWN_CAR.replace("\n", "\r\n").encode())
+        assert load_vehicle("windows.toml") == vehicle.replace(name="windows")
         assert load_vehicle("mine.toml") == load_vehicle(tmp_path / "mine.toml") == load_vehicle("./mine.toml")
 
     def test_a_tyre_file_is_looked_for_beside_the_vehicle_file(self, tmp_path, monkeypatch):
@@ -517,30 +441,20 @@ class TestOwnFiles:
         monkeypatch.chdir("/")
         assert load_tyre(load_vehicle(path).tyre) == tyre()
 
-    def test_a_byte_order_mark_is_forgiven(self, tmp_path):
-        path = tmp_path / "windows.toml"
-        path.write_bytes(b"\xef\xbb\xbf" + OWN_CAR.replace("\n", "\r\n").encode())
-        assert load_vehicle(path).mass == 1500
-
-    @pytest.mark.parametrize("name", list_vehicles())
-    def test_a_written_vehicle_reads_back_equal(self, name, tmp_path):
-        load_vehicle(name).to_toml(tmp_path / "copy.toml")
-        assert load_vehicle(tmp_path / "copy.toml") == load_vehicle(name).replace(name="copy")
-
-    @pytest.mark.parametrize("name", list_tyres())
-    def test_a_written_tyre_reads_back_equal(self, name, tmp_path):
-        load_tyre(name).to_toml(tmp_path / "copy.toml")
-        assert load_tyre(tmp_path / "copy.toml") == load_tyre(name)
-
     @given(vehicle=cars, text=st.text(max_size=20))
     def test_any_vehicle_reads_back_equal_to_the_last_bit(self, vehicle, text, tmp_path_factory):
         path = tmp_path_factory.mktemp("any") / "any.toml"
         vehicle.replace(description=text).to_toml(path)
         assert load_vehicle(path) == vehicle.replace(name="any", description=text)
+        assert re.search(r"^yaw_inertia = .*  # kg m\^2", path.read_text(), re.MULTILINE)
 
-    def test_a_car_made_from_another_has_its_own_name(self, tmp_path):
-        load_vehicle("midsize-sedan").to_toml(tmp_path / "my-car.toml")
-        assert load_vehicle(tmp_path / "my-car.toml").name == "my-car"
+    def test_named_sets_read_back_equal(self, tmp_path):
+        for name in list_vehicles():
+            load_vehicle(name).to_toml(tmp_path / "copy.toml")
+            assert load_vehicle(tmp_path / "copy.toml") == load_vehicle(name).replace(name="copy")
+        for name in list_tyres():
+            load_tyre(name).to_toml(tmp_path / "copy.toml")
+            assert load_tyre(tmp_path / "copy.toml") == load_tyre(name)
 
     def test_a_car_may_say_what_is_known_of_its_steering(self, tmp_path):
         path = self.write(tmp_path, OWN_CAR + "[steering]\nlag = 0.2\nratio = 15\n")
@@ -554,59 +468,25 @@ class TestOwnFiles:
     @pytest.mark.parametrize(
         ("line", "message"),
         [
-            ("lagg = 0.2", r"steering.lagg: unknown key. Did you mean 'lag'\?"),
-            ("dead_time = -1", r"steering.dead_time = -1: must be a finite number >= 0 and <= 10 \(s, "),
-            ("rate = inf", r"steering.rate = inf: must be a finite number > 0 and <= 100 \(rad/s, "),
-        ],
-    )
-    def test_an_impossible_steering_is_named_with_its_section(self, tmp_path, line, message):
-        with pytest.raises(ConfigError, match=message):
-            load_vehicle(self.write(tmp_path, OWN_CAR + f"[steering]\n{line}\n"))
-
-    def test_an_infinite_rate_reads_back(self, tmp_path):
-        SteeringActuator.ideal().to_toml(tmp_path / "ideal.toml")
-        assert build(SteeringActuator, read_toml(tmp_path / "ideal.toml"), "ideal") == SteeringActuator.ideal()
-
-    def test_a_written_file_says_the_units(self, tmp_path):
-        load_vehicle("paper").to_toml(tmp_path / "paper.toml")
-        assert re.search(r"^yaw_inertia = 2875.0  # kg m\^2", (tmp_path / "paper.toml").read_text(), re.MULTILINE)
-
-    @pytest.mark.parametrize(
-        ("line", "message"),
-        [
             ("mas = 3.0", r"mas: unknown key. Did you mean 'mass'\?"),
-            ("yaw_inertai = 3.0", r"yaw_inertai: unknown key. Did you mean 'yaw_inertia'\?"),
-            ("stifness_front = 3.0", r"stifness_front: unknown key. Did you mean 'stiffness_front'\?"),
             ("colour = 'red'", r"colour: unknown key. Known: 'air_density', .*'yaw_moment_slope'\."),
             ("cg_height = -0.5", r"cg_height = -0.5: must be a finite number >= 0 and <= 5 \(m, centre of gravity"),
-            ("cg_height = nan", r"cg_height = nan: must be a finite number >= 0"),
-            ("engine_power = inf", r"engine_power = inf: must be a finite number > 0"),
             ("track_front = '1.5'", r"track_front = '1.5': must be a finite number > 0 and <= 10 \(m, "),
-            ("track_front = true", r"track_front = True: must be a finite number"),
-            ("drive_front = 60", r"drive_front = 60: must be a finite number >= 0 and <= 1 "),
             ("wind_angle_limit = 17", r"wind_angle_limit = 17: must be a finite number > 0 and <= 1.5708 \(rad"),
             ("tyre = 'pasenger-car'", r"tyre = 'pasenger-car': unknown tyre. Did you mean 'passenger-car'\?"),
             ("tyre = 'nowhere.toml'", r"tyre = '.*nowhere.toml': no such file"),
-            ("tyre = 3", r"tyre = 3: must be text"),
             ("name = ''", r"name = ''"),
+            ("mass = 3", r"mine.toml.*: not valid TOML"),
+            ("[steering]\nlagg = 0.2", r"steering.lagg: unknown key. Did you mean 'lag'\?"),
+            ("[steering]\ndead_time = -1", r"steering.dead_time = -1: must be a finite number >= 0 and <= 10 \(s, "),
+            ("[steering]\nrate = inf", r"steering.rate = inf: must be a finite number > 0 and <= 100 \(rad/s, "),
         ],
     )
     def test_an_impossible_line_is_named_with_file_key_value_and_remedy(self, tmp_path, line, message):
         path = self.write(tmp_path, OWN_CAR + line)
         with pytest.raises(ConfigError, match=message) as caught:
             load_vehicle(path)
-        assert str(caught.value).startswith(f"{path}: ")
-
-    def test_negative_mass_is_refused(self, tmp_path):
-        path = self.write(tmp_path, OWN_CAR.replace("1500", "-1500"))
-        with pytest.raises(ConfigError, match=r"mine.toml: mass = -1500: must be a finite number > 0 .*kg"):
-            load_vehicle(path)
-
-    @pytest.mark.parametrize("key", sorted(PAPER_TABLE))
-    def test_a_missing_number_is_asked_for(self, tmp_path, key):
-        path = self.write(tmp_path, re.sub(rf"^{key} = .*$", "", OWN_CAR, flags=re.MULTILINE))
-        with pytest.raises(ConfigError, match=rf"mine.toml: {key}: missing; give a finite number > 0"):
-            load_vehicle(path)
+        assert str(caught.value).startswith(str(path))
 
     def test_all_problems_of_a_file_come_in_one_error(self, tmp_path):
         text = 'mas = 3\nyaw_inertia = -1\nlf = "a"\nlr = nan\ntyre = "x"\nstiffness_front = true\nbrake_front = 2'
@@ -614,57 +494,15 @@ class TestOwnFiles:
             load_vehicle(self.write(tmp_path, text))
         message = str(caught.value)
         assert "9 problems" in message
-        for key in (
-            "mas",
-            "mass",
-            "yaw_inertia",
-            "lf",
-            "lr",
-            "tyre",
-            "stiffness_front",
-            "stiffness_rear",
-            "brake_front",
-        ):
+        assert "stiffness_rear: missing; give a finite number > 0" in message
+        for key in ("mas", "mass", "yaw_inertia", "lf", "lr", "tyre", "stiffness_front", "brake_front"):
             assert re.search(rf"^  {key}( = |: )", message, re.MULTILINE), key
-
-    def test_a_problem_that_involves_two_keys_comes_with_the_others(self, tmp_path):
-        text = (
-            'kind = "lineer"\nstiffness_front = 1\nstiffness_rear = 1\nnominal_load = 1\nstiffness_load = "digressive"'
-        )
-        with pytest.raises(
-            ConfigError, match=r"(?s)2 problems.*kind = 'lineer': must be one of.*digressive_load_ratio: "
-        ):
-            load_tyre(self.write(tmp_path, text))
-
-    def test_a_syntax_error_is_shown_with_its_line(self, tmp_path):
-        path = self.write(tmp_path, "mass = 1500\nyaw_inertia 2500\n")
-        with pytest.raises(ConfigError, match=r"mine.toml, line 2, column \d+: not valid TOML: .*yaw_inertia 2500"):
-            load_vehicle(path)
-
-    def test_a_key_given_twice_is_refused(self, tmp_path):
-        with pytest.raises(ConfigError, match=r"mine.toml.*: not valid TOML"):
-            load_vehicle(self.write(tmp_path, OWN_CAR + "mass = 3\n"))
-
-    def test_a_file_that_is_not_text_is_refused_with_its_line(self, tmp_path):
-        path = tmp_path / "latin.toml"
-        path.write_bytes(b"mass = 1\nname = '\xe4'\n")
-        with pytest.raises(ConfigError, match=r"latin.toml, line 2: not UTF-8"):
-            load_vehicle(path)
 
     @pytest.mark.parametrize("path", ["absent.toml", "."])
     def test_a_file_that_cannot_be_read_is_a_storage_error(self, tmp_path, path):
-        with pytest.raises(StorageError, match="cannot be read"):
+        with pytest.raises(StorageError, match="cannot be read") as caught:
             load_vehicle(tmp_path / path)
-
-    def test_every_refusal_is_an_adaptrack_error_and_a_value_error(self, tmp_path):
-        for bad in (
-            lambda: load_vehicle(self.write(tmp_path, "mass = -1")),
-            lambda: car(mass=-1),
-            lambda: load_vehicle("x"),
-        ):
-            with pytest.raises(AdaptrackError) as caught:
-                bad()
-            assert isinstance(caught.value, ValueError)
+        assert isinstance(caught.value, AdaptrackError)
 
 
 class Step(Record):
@@ -695,6 +533,7 @@ class TestTomlFiles:
             ({"shape": {"amplitude": 1}}, r"shape.kind: missing"),
             ({"shape": 3}, r"shape = 3: "),
             ({}, r"f: shape: missing"),
+            ([1], r"f: expected a table of keys, got \[1\]"),
             ({"shape": {"kind": "step", "amplitude": 1}, "more": [{"amplitude": 1}, {"amplitude": 0}]},
              r"more\[1\].amplitude = 0: must be a finite number > 0"),
             ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
@@ -705,28 +544,16 @@ class TestTomlFiles:
         with pytest.raises(ConfigError, match=message):
             build(Drive, data, "f")
 
-    def test_what_is_not_a_table_is_refused(self):
-        with pytest.raises(ConfigError, match=r"f: expected a table of keys, got \[1\]"):
-            build(Tyre, [1], "f")
-
     def test_a_very_long_value_is_quoted_in_part(self):
         with pytest.raises(ConfigError) as caught:
             build(Tyre, {"kind": "x" * 10_000}, "f")
         assert len(str(caught.value)) < 2000
 
     def test_written_tables_read_back(self, tmp_path):
-        data = {
-            "a": 1,
-            "t": {"x": [1.5, 2], "y": {"z": "ü\n"}},
-            "rows": [{"i": 1}, {"i": 2}],
-            "b": [1, 2],
-            "c": math.inf,
-        }
-        write_toml(
-            tmp_path / "f.toml",
-            {**data, "t": {**data["t"], "no": None}, "nothing": None},
-            comments={"a": "kg,\n mass", "b": "m"},
-        )
+        table = {"x": [1.5, 2], "y": {"z": "ü\n"}}
+        data = {"a": 1, "t": table, "rows": [{"i": 1}, {"i": 2}], "b": [1, 2], "c": math.inf}
+        with_nothing = {**data, "t": {**table, "no": None}, "nothing": None}
+        write_toml(tmp_path / "f.toml", with_nothing, comments={"a": "kg,\n mass", "b": "m"})
         assert read_toml(tmp_path / "f.toml") == data
         assert "a = 1  # kg, mass\n" in (tmp_path / "f.toml").read_text()
         assert dump_toml({}) == ""

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from scipy.integrate import quad
+from scipy.special import fresnel
 
 
 def end_of(k0, k1, length):
@@ -16,6 +17,20 @@ def end_of(k0, k1, length):
         return math.fsum(pieces)
 
     return integral(math.cos), integral(math.sin)
+
+
+def exact_points(segment, s):
+    """x, y, heading and curvature of a line, arc or clothoid: Fresnel's integrals, or the chord of an arc."""
+    k0, k_end = segment.curvatures
+    k1 = (k_end - k0) / segment.length
+    heading, curvature = k0 * s + 0.5 * k1 * s * s, k0 + k1 * s
+    if k1 == 0.0:
+        place = s * np.sinc(0.5 * heading / np.pi) * np.exp(0.5j * heading)
+    else:
+        scale = np.sqrt(np.pi / abs(k1))
+        (s1, c1), (s0, c0) = fresnel((s + k0 / k1) / scale), fresnel(k0 / k1 / scale)
+        place = scale * ((c1 - c0) + 1j * np.sign(k1) * (s1 - s0)) * np.exp(-0.5j * k0 * k0 / k1)
+    return place.real, place.imag, heading, curvature
 
 
 def coarse_samples(road, spacing=0.5):

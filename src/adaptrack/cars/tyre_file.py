@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -52,6 +53,25 @@ OTHERS = {
     "TURNSLIP_COEFFICIENTS": "turn slip",
 }  # fmt: skip
 """Sections that have no use here."""
+REMEDIES = {
+    "MODEL": "it says which tyre model the file is of (FITTYP or PROPERTY_FILE_FORMAT)",
+    "UNITS": "write LENGTH = 'meter', FORCE = 'newton', ANGLE = 'radians' if it is in SI",
+    "VERTICAL": "it holds FNOMIN",
+    "LATERAL_COEFFICIENTS": "the lateral force is what this reads",
+}
+"""Sections that must be there."""
+MODELS = {
+    **dict.fromkeys(("5", "6", "21", "51", "52", "MF-TYRE", "MF_TYRE", "MFTYRE", "MF_05", "MF52"), "MF 5.2"),
+    "60": "MF 6.1", "61": "MF 6.1", "62": "MF 6.2", "PAC2002": "PAC2002",
+}  # fmt: skip
+"""Formulas by FITTYP or PROPERTY_FILE_FORMAT."""
+BOUNDS = {
+    "PCY1": (0.5, 2.5, "the shape factor of a tyre"),
+    "PDY1": (0.1, 4.0, "the friction of a tyre"),
+    "PKY1": (1.5, 100.0, "the stiffness of a tyre per radian (or per degree, as [UNITS] say) over its nominal load"),
+    "PKY2": (1e-6, 1e6, "the load over the nominal one at which a tyre is stiffest"),
+}
+"""Sizes of coefficients, in SI, that tyres have."""
 STEEPEST = 0.21
 """rad (12 degrees), largest slip that is fitted."""
 LIGHTEST, HEAVIEST = 0.3, 1.6
@@ -220,152 +240,122 @@ def _sections(where: str) -> dict[str, dict[str, _Value]]:
 
 
 class _Reader:
-    """A file in the making; every refusal names file, line and key."""
+    """The sections of a file; every refusal names file, line and key."""
 
     def __init__(self, where: str, sections: dict[str, dict[str, _Value]]) -> None:
         self.where, self.sections = where, sections
 
-    def fail(self, text: str, line: int | None = None) -> ConfigError:
-        return ConfigError(f"{self.where}{'' if line is None else f', line {line}'}: {text}")
-
-    def section(self, name: str, remedy: str) -> dict[str, _Value]:
-        if name not in self.sections:
-            raise self.fail(f"there is no section [{name}]: {remedy}.")
-        return self.sections[name]
-
-    def number(self, section: str, key: str, default: float | None = None) -> float | None:
-        """A finite number; the default where there is no such key."""
-        value = self.sections.get(section, {}).get(key)
-        if value is None:
-            return default
-        try:
-            found = float(re.sub("[dD]", "e", value.text))
-        except ValueError:
-            raise self.fail(f"{key} = {printable(value.text)[:40]!r}: must be a number.", value.line) from None
-        if not math.isfinite(found):
-            raise self.fail(f"{key} = {value.text}: must be a finite number.", value.line)
-        return found
-
-    def line(self, section: str, key: str) -> int | None:
-        value = self.sections.get(section, {}).get(key)
-        return None if value is None else value.line
-
     def read(self, name: str) -> TyreFile:
-        model, angle = self.model(), self.unit("ANGLE")
-        force, length = self.unit("FORCE"), self.unit("LENGTH")
+        """The tyre of the file."""
+        model = self.model()
+        angle, force, length = (self.unit(quantity) for quantity in ("ANGLE", "FORCE", "LENGTH"))
         p, scaling = self.coefficients(model, angle), self.scaling()
         nominal = self.positive("VERTICAL", "FNOMIN", force, (1.0, 2e5), "N")
-        radius = None
-        if self.line("DIMENSION", "UNLOADED_RADIUS") is not None:
+        radius = stiffness = None
+        if self.value("DIMENSION", "UNLOADED_RADIUS"):
             radius = self.positive("DIMENSION", "UNLOADED_RADIUS", length, (0.01, 3.0), "m")
-        stiffness = None
         if model.startswith("MF 6"):
-            stiffness = self.number("STRUCTURAL", "LATERAL_STIFFNESS") or self.number("VERTICAL", "LATERAL_STIFFNESS")
-        low = (self.number("VERTICAL_FORCE_RANGE", "FZMIN", 0.0) or 0.0) * force
-        high = (self.number("VERTICAL_FORCE_RANGE", "FZMAX", math.inf) or math.inf) * force
-        steepest = abs(self.number("SLIP_ANGLE_RANGE", "ALPMAX", 1.5 / angle) or 1.5 / angle) * angle
-        made = TyreFile(
-            name, model, p, scaling, nominal, steepest, (low, high), radius,
-            None if stiffness is None else stiffness * force / length, tuple(self.left_out(model, p, scaling, nominal)),
-        )  # fmt: skip
-        self.check_range(made)
-        return made
+            sections = ("STRUCTURAL", "VERTICAL")
+            numbers = [self.number(section, "LATERAL_STIFFNESS", 0.0) for section in sections]
+            stiffness = next((number * force / length for number in numbers if number), None)
+        loads = tuple(
+            (self.number("VERTICAL_FORCE_RANGE", key, 0.0) or default) * force
+            for key, default in (("FZMIN", 0.0), ("FZMAX", math.inf))
+        )
+        steepest = abs(self.number("SLIP_ANGLE_RANGE", "ALPMAX", 0.0) * angle) or 1.5
+        notes = tuple(self.notes(model, p, nominal))
+        tyre = TyreFile(name, model, p, scaling, nominal, steepest, loads, radius, stiffness, notes)  # type: ignore[arg-type]
+        self.check_range(tyre)
+        return tyre
 
-    def model(self) -> str:
-        """Which formula the file is of."""
-        section = self.section("MODEL", "it says which tyre model the file is of (FITTYP or PROPERTY_FILE_FORMAT)")
-        kind = section.get("PROPERTY_FILE_FORMAT", _Value("", 0))
-        fit = section.get("FITTYP")
-        if kind.text.upper() == "PAC2002":
-            return "PAC2002"
-        if fit is not None:
-            models = {"5": "MF 5.2", "6": "MF 5.2", "21": "MF 5.2", "51": "MF 5.2", "52": "MF 5.2", "60": "MF 6.1",
-                      "61": "MF 6.1", "62": "MF 6.2"}  # fmt: skip
-            number = re.sub(r"\.0*$", "", fit.text)
-            if number not in models:
-                raise self.fail(
-                    f"FITTYP = {printable(fit.text)}: is none of MF 5.2 (5, 6, 21, 51, 52), MF 6.1 (60, 61), MF 6.2 "
-                    "(62).", fit.line,
-                )  # fmt: skip
-            return models[number]
-        if kind.text.upper() in ("MF-TYRE", "MF_TYRE", "MFTYRE", "MF_05", "MF52"):
-            return "MF 5.2"
-        if kind.text:
-            raise self.fail(
-                f"PROPERTY_FILE_FORMAT = {printable(kind.text)!r}: this model cannot be read; known: MF 5.2, MF 6.1, "
-                "MF 6.2, PAC2002.", kind.line,
-            )  # fmt: skip
-        raise self.fail("section [MODEL] has neither FITTYP nor PROPERTY_FILE_FORMAT: the model is not known.")
+    # ---- values
 
-    def unit(self, what: str) -> float:
-        """Factor to SI."""
-        section = self.section("UNITS", "write LENGTH = 'meter', FORCE = 'newton', ANGLE = 'radians' if it is in SI")
-        value = section.get(what)
+    def fail(self, text: str, value: _Value | None = None) -> ConfigError:
+        return ConfigError(f"{self.where}{'' if value is None else f', line {value.line}'}: {text}")
+
+    def value(self, section: str, key: str) -> _Value | None:
+        return self.sections.get(section, {}).get(key)
+
+    def required(self, section: str, key: str) -> _Value:
+        if section not in self.sections:
+            raise self.fail(f"there is no section [{section}]: {REMEDIES[section]}.")
+        value = self.value(section, key)
         if value is None:
-            raise self.fail(f"section [UNITS] has no {what}; known: {', '.join(map(repr, UNITS[what]))}.")
-        factor = UNITS[what].get(value.text.lower())
-        if factor is None:
-            hint = did_you_mean(value.text.lower(), UNITS[what])
-            raise self.fail(f"{what} = {printable(value.text)!r}: unknown unit. {hint}", value.line)
-        return factor
+            raise self.fail(f"section [{section}] has no {key}.")
+        return value
+
+    def number(self, section: str, key: str, default: float | None = None) -> float:
+        """A finite number; without a default it must be there."""
+        value = self.value(section, key) if default is not None else self.required(section, key)
+        if value is None:
+            return default or 0.0
+        try:
+            number = float(re.sub("[dD]", "e", value.text))
+        except ValueError:
+            raise self.fail(f"{key} = {printable(value.text)[:40]!r}: must be a number.", value) from None
+        if not math.isfinite(number):
+            raise self.fail(f"{key} = {value.text}: must be a finite number.", value)
+        return number
 
     def positive(self, section: str, key: str, unit: float, span: tuple[float, float], si: str) -> float:
-        """A positive number in SI that is within what tyres have: else the unit is wrong."""
-        self.section(section, f"it holds {key}")
-        value = self.number(section, key)
-        if value is None:
-            raise self.fail(f"section [{section}] has no {key} ({si}).")
-        if not span[0] <= value * unit <= span[1]:
+        """A number in SI that is within what tyres have: else the unit is wrong."""
+        number = self.number(section, key)
+        if not span[0] <= number * unit <= span[1]:
             raise self.fail(
-                f"{key} = {value:g} is {value * unit:g} {si}, which no tyre has ({span[0]:g} to {span[1]:g}): wrong "
-                "value, or wrong [UNITS].", self.line(section, key),
+                f"{key} = {number:g} is {number * unit:g} {si}, which no tyre has ({span[0]:g} to {span[1]:g}): wrong "
+                "value, or wrong [UNITS].", self.value(section, key),
             )  # fmt: skip
-        return value * unit
+        return number * unit
+
+    def unit(self, quantity: str) -> float:
+        """The factor to SI of a quantity."""
+        value, units = self.required("UNITS", quantity), UNITS[quantity]
+        if value.text.lower() not in units:
+            hint = did_you_mean(value.text.lower(), units)
+            raise self.fail(f"{quantity} = {printable(value.text)!r}: unknown unit. {hint}", value)
+        return units[value.text.lower()]
+
+    # ---- sections
+
+    def model(self) -> str:
+        """The formula that the file is of: a PAC2002 file may have a FITTYP as well."""
+        kind, fit = self.value("MODEL", "PROPERTY_FILE_FORMAT"), self.value("MODEL", "FITTYP")
+        value = kind if kind is not None and (fit is None or kind.text.upper() == "PAC2002") else fit
+        if value is None:
+            value = self.required("MODEL", "FITTYP and no PROPERTY_FILE_FORMAT")
+        model = MODELS.get(re.sub(r"\.0*$", "", value.text.upper()))
+        if model is None:
+            raise self.fail(
+                f"tyre model {printable(value.text)!r} cannot be read; known: MF 5.2 (FITTYP 5, 6, 21, 51, 52), MF 6.1 "
+                "(60, 61), MF 6.2 (62) and PAC2002.", value,
+            )  # fmt: skip
+        return model
 
     def coefficients(self, model: str, angle: float) -> dict[str, float]:
         """The lateral coefficients in SI: angles in them follow [UNITS]."""
-        name = "LATERAL_COEFFICIENTS"
-        self.section(name, "the lateral force is what this reads")
-        found = {key: self.number(name, key) for key in REQUIRED}
-        missing = [key for key, value in found.items() if value is None]
-        if missing:
-            raise self.fail(f"section [{name}] has no {', '.join(missing)}.")
-        p = {key: value for key, value in found.items() if value is not None}
-        p |= {key: self.number(name, key, 0.0) or 0.0 for key in (*OPTIONAL, *CAMBER, "PTY1", "PTY2")}
-        p["PKY4"] = (self.number(name, "PKY4", 2.0) or 2.0) if model.startswith("MF 6") else 2.0
-        p |= {key: self.number("STRUCTURAL", key, 0.0) or 0.0 for key in ("PCFY1", "PCFY2")}
-        p["PKY1"] /= angle
-        for key in ("PHY1", "PHY2"):
-            p[key] *= angle
-        rules = (
-            ("PCY1", 0.5 <= p["PCY1"] <= 2.5, "must be from 0.5 to 2.5"),
-            ("PDY1", 0.1 <= abs(p["PDY1"]) <= 4.0, "must be from 0.1 to 4 in size: a friction"),
-            ("PKY1", p["PKY1"] != 0.0, "must not be 0: the tyre would have no cornering stiffness"),
-            ("PKY2", p["PKY2"] > 0.0, "must be positive: else the cornering stiffness is negative at every load"),
-        )
-        for key, fit, clause in rules:
-            if not fit:
-                raise self.fail(f"{key} = {found[key]:g}: {clause}.", self.line(name, key))
-        if not 1.5 <= abs(p["PKY1"]) <= 100.0:
-            raise self.fail(
-                f"PKY1 = {found['PKY1']:g}: a stiffness of {abs(p['PKY1']):.3g} nominal loads a radian is none of a "
-                "tyre (1.5 to 100): per degree, with ANGLE = 'radians' in [UNITS], or the other way round?",
-                self.line(name, "PKY1"),
-            )
+        section = "LATERAL_COEFFICIENTS"
+        p = {key: self.number(section, key) for key in REQUIRED}
+        p |= {key: self.number(section, key, 0.0) for key in (*OPTIONAL, *CAMBER, "PTY1", "PTY2")}
+        p["PKY4"] = (self.number(section, "PKY4", 0.0) or 2.0) if model.startswith("MF 6") else 2.0
+        p |= {key: self.number("STRUCTURAL", key, 0.0) for key in ("PCFY1", "PCFY2")}
+        p |= {"PKY1": p["PKY1"] / angle, "PHY1": p["PHY1"] * angle, "PHY2": p["PHY2"] * angle}
+        sizes = {"PCY1": p["PCY1"], "PDY1": abs(p["PDY1"]), "PKY1": abs(p["PKY1"]), "PKY2": p["PKY2"]}
+        for key, (low, high, meaning) in BOUNDS.items():
+            if not low <= sizes[key] <= high:
+                value = self.required(section, key)
+                raise self.fail(f"{key} = {value.text}: {meaning} is from {low:g} to {high:g} in size.", value)
         return p
 
     def scaling(self) -> dict[str, float]:
         """The scaling factors that concern the lateral force."""
-        names = [name for name in ("SCALING_COEFFICIENTS", "SCALING_FACTORS") if name in self.sections]
-        found = {}
-        for key in SCALINGS:
-            found[key] = 1.0
-            for name in names:
-                value = self.number(name, key, 1.0)
-                if not (value or 0.0) > 0.0 and key != "LEY":
-                    raise self.fail(f"{key} = {value:g}: a scaling factor must be positive.", self.line(name, key))
-                found[key] = 1.0 if value is None else value
-        return found
+        factors = dict.fromkeys(SCALINGS, 1.0)
+        for section in ("SCALING_COEFFICIENTS", "SCALING_FACTORS"):
+            for key in SCALINGS if section in self.sections else ():
+                factors[key] = self.number(section, key, 1.0)
+                if not factors[key] > 0.0 and key != "LEY":
+                    value = self.value(section, key)
+                    raise self.fail(f"{key} = {factors[key]:g}: a scaling factor must be positive.", value)
+        return factors
 
     def check_range(self, tyre: TyreFile) -> None:
         """Stiffness and friction must be positive wherever the tyre is fitted."""
@@ -373,45 +363,39 @@ class _Reader:
         if not low < high:
             raise self.fail(
                 f"FZMIN to FZMAX, {tyre.loads[0]:g} to {tyre.loads[1]:g} N, holds no load near FNOMIN = "
-                f"{tyre.nominal_load:g} N.", self.line("VERTICAL_FORCE_RANGE", "FZMAX"),
+                f"{tyre.nominal_load:g} N.", self.value("VERTICAL_FORCE_RANGE", "FZMAX"),
             )  # fmt: skip
         if tyre.slips < 0.02:
-            raise self.fail(f"ALPMAX is {tyre.slips:g} rad: no slip range.", self.line("SLIP_ANGLE_RANGE", "ALPMAX"))
+            raise self.fail(f"ALPMAX is {tyre.slips:g} rad: no slip range.", self.value("SLIP_ANGLE_RANGE", "ALPMAX"))
         loads = np.linspace(low, high, 50)
-        for what, values, key in (
-            ("cornering stiffness", tyre.stiffness(loads), "PKY2"), ("friction", tyre.friction(loads), "PDY2"),
-        ):  # fmt: skip
-            if not (values > 0.0).all():
-                at = loads[int(np.argmin(values > 0.0))]
-                raise self.fail(
-                    f"the {what} is not positive at {at:.0f} N, within the range of loads.",
-                    self.line("LATERAL_COEFFICIENTS", key),
-                )
+        quantities = (("cornering stiffness", tyre.stiffness, "PKY2"), ("friction", tyre.friction, "PDY2"))
+        for name, law, key in quantities:
+            for load in loads[~(law(loads) > 0.0)][:1]:
+                value = self.value("LATERAL_COEFFICIENTS", key)
+                raise self.fail(f"the {name} is not positive at {load:.0f} N, within the range of loads.", value)
 
-    def left_out(self, model: str, p: dict[str, float], scaling: dict[str, float], nominal: float) -> list[str]:
-        """Return the notes on unused parts of the file and on its sign convention."""
-        said = [
-            "PKY1 < 0: slip with the sign of ISO, where a positive one pushes to the right; turned round."
-            if p["PKY1"] < 0.0
-            else "PKY1 > 0: slip with the sign of adapted SAE, where a positive one pushes to the positive side; in a "
-            "file with the sign of ISO this would be a negative stiffness."
-        ]
-        side = self.sections["MODEL"].get("TYRESIDE")
-        shift = p["PHY1"] * scaling.get("LHY", 1.0), p["PVY1"] * nominal
+    def notes(self, model: str, p: dict[str, float], nominal: float) -> Iterator[str]:
+        """Yield the notes on unused parts of the file and on its sign convention."""
+        if p["PKY1"] < 0.0:
+            yield "PKY1 < 0: slip with the sign of ISO, where a positive one pushes to the right; turned round."
+        else:
+            yield (
+                "PKY1 > 0: slip with the sign of adapted SAE, where a positive one pushes to the positive side; in a "
+                "file with the sign of ISO this would be a negative stiffness."
+            )
         if p["PHY1"] or p["PVY1"] or p["PEY3"]:
+            side = self.value("MODEL", "TYRESIDE")
             measured = f", measured as a {side.text.lower()} tyre," if side is not None else ""
-            said.append(
-                f"Ply steer and conicity{measured} are left out (at the nominal load a slip of {shift[0]:.4f} rad and "
-                f"{shift[1]:.0f} N): left and right tyres are mirror images."
+            yield (
+                f"Ply steer and conicity{measured} are left out (at the nominal load a slip of {p['PHY1']:.4f} rad and "
+                f"{p['PVY1'] * nominal:.0f} N): left and right tyres are mirror images."
             )
         if any(p[key] for key in CAMBER):
-            said.append("Camber is left out: the plant's wheels stand upright.")
+            yield "Camber is left out: the plant's wheels stand upright."
         if model.startswith("MF 6"):
-            now, usual = (self.number("OPERATING_CONDITIONS", key) for key in ("INFLPRES", "NOMPRES"))
-            said.append("The inflation pressure is taken as nominal.")
-            if now is not None and usual is not None and now != usual:
-                said[-1] = f"The inflation pressure is taken as nominal ({usual:g}), not as it is ({now:g})."
+            pressure, usual = (self.number("OPERATING_CONDITIONS", key, 0.0) for key in ("INFLPRES", "NOMPRES"))
+            differs = f" ({usual:g}), not as it is ({pressure:g})" if pressure and usual and pressure != usual else ""
+            yield f"The inflation pressure is taken as nominal{differs}."
         others = [words for name, words in OTHERS.items() if name in self.sections]
         if others:
-            said.append(f"Not read: {', '.join(others)}.")
-        return said
+            yield f"Not read: {', '.join(others)}."

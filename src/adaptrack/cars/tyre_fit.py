@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre
+from adaptrack.core.plants.parameters import PLANT_PARAMETERS
+from adaptrack.core.synthesis import plant as kernel
+from adaptrack.core.synthesis.rows import row_of
 
 Array = NDArray[np.float64]
 
@@ -57,22 +60,13 @@ class TyreFit:
         )
 
 
-def cornering_stiffness(tyre: Tyre, load: ArrayLike, rear: ArrayLike = False) -> Array:
-    """Cornering stiffness (N/rad) of one tyre at a vertical load (N), rear or front."""
-    q = np.asarray(load, dtype=float) / tyre.nominal_load
-    s0, s1, s2 = tyre.stiffness_load_coefficients
-    return np.asarray(np.where(rear, tyre.stiffness_rear, tyre.stiffness_front) * (s0 + s1 * q) / (1.0 + s2 * q**2))
-
-
 def lateral_force(tyre: Tyre, slip: ArrayLike, load: ArrayLike, friction: float, rear: ArrayLike = False) -> Array:
-    """Lateral force (N) of one tyre, the law of `Tyre` in NumPy: slip (rad), vertical load (N), rear or front tyre."""
-    slip, load = np.asarray(slip, dtype=float), np.asarray(load, dtype=float)
-    q, stiffness = load / tyre.nominal_load, cornering_stiffness(tyre, load, rear)
-    if tyre.kind == "linear":
-        return np.asarray(stiffness * friction * slip)
-    peak = friction * load * np.maximum(1.0 - tyre.friction_load_sensitivity * (q - 1.0), 0.1)
-    b = stiffness / (tyre.shape * peak) * slip
-    return np.asarray(peak * np.sin(tyre.shape * np.arctan(b - tyre.curvature * (b - np.arctan(b)))))
+    """Lateral force (N) of one tyre of the plant: slip (rad), vertical load (N), rear or front tyre."""
+    wheels = np.stack(np.broadcast_arrays(slip, load, rear), axis=-1).astype(np.float64)
+    parameters, forces = np.zeros(len(PLANT_PARAMETERS)), np.empty(wheels.shape[:-1])
+    kernel.plant_parameters(row_of(kernel.Chassis), tyre.numbers, row_of(kernel.Actuator), parameters)
+    kernel.tyre_forces(parameters, friction, wheels.reshape(-1, 3), forces.reshape(-1))
+    return forces
 
 
 FREE = ("load sensitivity", "load ratio", "stiffness", "offsets")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.cars.tyre_fit import Samples, TyreFit, cornering_stiffness, fit_law, judged
+from adaptrack.cars.tyre_fit import Samples, TyreFit, fit_law, judged, lateral_force
 from adaptrack.cars.vehicle import Tyre
 
 Array = NDArray[np.float64]
@@ -175,8 +175,8 @@ def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, flo
 
 def _saturates(tyre: Tyre, samples: Samples) -> bool:
     """Whether the forces at large slips tell where the tyre ends."""
-    slip = np.abs(samples.slip)
-    linear = cornering_stiffness(tyre, samples.load, samples.rear) * slip
+    slip, endless = np.abs(samples.slip), tyre.model_copy(update={"kind": "linear"})
+    linear = lateral_force(endless, slip, samples.load, 1.0, samples.rear)
     return bool((np.abs(samples.force) < SATURATED * linear)[slip > 0.5 * slip.max()].any())
 
 

@@ -99,12 +99,6 @@ class Tyre(Record):
             raise ValueError(f"only stiffness_load = 'digressive' has a use for it, not {law!r}: leave it out.")
         return ratio
 
-    @property
-    def stiffness_load_coefficients(self) -> tuple[float, float, float]:
-        """(s0, s1, s2) of C(F_z)/C = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load: all three laws in one formula."""
-        s0, s1, s2 = kernel.stiffness_coefficients(self.numbers)
-        return s0, s1, s2
-
     def stiffness_at(self, front_load: float, rear_load: float) -> tuple[float, float]:
         """Cornering stiffness (N/rad) of one front and one rear tyre at their vertical loads (N)."""
         front, rear = kernel.tyre_stiffness(self.numbers, front_load, rear_load)

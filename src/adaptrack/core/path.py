@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from .kernel import boolean, exported, inlined, int64, local, matrix, several, shaped, vector, void
+from .kernel import boolean, exported, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, floor, sqrt
 from .maths.exponential import hypot
@@ -439,6 +439,26 @@ def _write_step(x, y, begin_x, begin_y, end_x, end_y, pieces, first):
         while level > 0 and part % 2 == 0:
             part, level, w = part // 2, level - 1, 2.0 * w
     return OK, count
+
+
+@exported(several(int64, int64)(matrix, matrix, int_vector))
+def write_cubics(steps, pieces, counts):
+    """Write the pieces of cubics, and the number of pieces of each cubic.
+
+    steps: (n, 6) m, of each cubic the vector from its begin to its end, then its slopes at begin and end over a
+    parameter from 0 to 1. The pieces lie relative to the begin of their cubic. Returns `OK` and the number of pieces;
+    or `TOO_SMALL` or `KINK`, and the number of the cubic that does not fit into `pieces` or has a cusp.
+    """
+    total = 0
+    for k in range(len(steps)):
+        status, count = _write_step(
+            steps[k, 0], steps[k, 1], steps[k, 2], steps[k, 3], steps[k, 4], steps[k, 5], pieces[total:], 0
+        )
+        if status != OK:
+            return status, k
+        counts[k] = count
+        total += count
+    return OK, total
 
 
 @exported(void(vector, matrix, boolean, vector))

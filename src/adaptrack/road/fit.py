@@ -9,13 +9,12 @@ are the arc lengths of their feet on the curve, found by fitting more than once.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -25,13 +24,12 @@ from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import path
 from adaptrack.core.path import FEWEST, WIDEST
-from adaptrack.core.road import X, Y
+from adaptrack.core.road import MOST_CURVATURE, project_all
 from adaptrack.road.along import ALONG, Along, alongs
-from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road
-from adaptrack.road.segments import FARTHEST, Array, Cubic
-from adaptrack.road.smoothing import Curve, Smoother
-from adaptrack.road.table import Pieces, joined, tabulate
+from adaptrack.road.segments import FARTHEST, Array, Cubic, Pose
+from adaptrack.road.smoothing import Smoother
+from adaptrack.road.table import Pieces, cubic_line, placed
 
 _log = logging.getLogger("adaptrack")
 
@@ -64,7 +62,9 @@ IN_A_ROW, SHARE = 5, 0.02
 BESIDE, MET = 2, 4.0
 """Points on each side of outliers that the curve without these must meet, within so many standard deviations."""
 MOST_NAMED = 5
-"""Outliers that are named."""
+"""Points that a note names."""
+FOLD = 8.0
+"""rad from one knot to the next, if the tightest bend went on so far, at which a curve has a cusp or a loop."""
 
 
 @checked
@@ -104,31 +104,29 @@ def fit_road(
     InvalidInput
         When points are too few, not finite, all the same or too far apart, or no curve comes as near as requested.
     """
-    points = _checked("fit_road", points, SHORTEST)
-    kept, lap, notes = _lap(points, closed)
-    record = _Record(points[:kept], np.arange(kept), points[:kept].mean(axis=0), lap)
+    points = _check_points("fit_road", points, SHORTEST)
+    count, lap, notes = _find_lap(points, closed)
+    record = _Record(points[:count], np.arange(count), points[:count].mean(axis=0), lap)
     if smoothest:
-        found, out = _placed(record, smoothest), np.zeros(kept, dtype=bool)
+        estimate, outliers = _estimate(record, smoothest), np.zeros(count, dtype=bool)
     else:
-        found, out = _cross_validated(record, max_deviation is None)
+        estimate, outliers = _cross_validated(record, max_deviation is None)
     bound = max_deviation
     if bound is None:
-        bound = MAX_DEVIATION if math.isnan(found.noise) else max(MAX_DEVIATION, NOISES * found.noise)
-    fit = _within(found, bound)
-    place = np.interp(record.rows, found.record.rows, fit.along)
+        bound = MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, NOISES * estimate.noise)
+    fit = _bounded_fit(estimate, bound)
+    road, rows = _road(fit, record), estimate.record.rows
+    s = np.interp(record.rows, rows, fit.along)
     values = {
-        key: (place, np.asarray(value, dtype=np.float64)[:kept])
+        key: _sort_by_arc_length(s, value[:count], road)
         if isinstance(value, np.ndarray) and value.shape == (len(points),)
         else value
         for key, value in along.items()
     }
-    bounded = [] if smoothest else _bounded(found, fit, bound)
-    outliers = _left_out(fit.road, record.points, place, out)
-    notes = [*_sparse(points), *notes, *outliers, *bounded, _said(fit, found.record.rows)]
-    return replace(
-        fit.road, name=name, notes=tuple(notes), deviation=fit.deviation,
-        **alongs({key: _by_place(value, fit.road) for key, value in values.items()}),
-    )  # fmt: skip
+    notes = [*_spacing_notes(points), *notes, *_outlier_notes(road, record.points, s, outliers)]
+    notes += [] if smoothest else _bound_notes(estimate, fit, bound)
+    notes.append(_fit_note(fit, rows))
+    return replace(road, name=name, notes=tuple(notes), deviation=fit.deviation, **alongs(values))
 
 
 @checked
@@ -156,16 +154,16 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     InvalidInput
         When points are too few, not finite, or fold back on themselves.
     """
-    points = _checked("road_through", points, path.SHORTEST)
+    points = _check_points("road_through", points, path.SHORTEST)
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
-        status, found = path.path_through(points, closed, memory)
+        status, place = path.path_through(points, closed, memory)
         if status != path.TOO_SMALL:
             break
         size *= 2
     if status != path.OK:
-        raise InvalidInput(f"road_through: {_FLAWS[status].format(found, WIDEST)}")
+        raise InvalidInput(f"road_through: {_FLAWS[status].format(place, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
     return Road(name=name, table=table, closed=closed, notes=_repetition_notes(points, closed), **alongs(along))
@@ -186,9 +184,7 @@ def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
         f"point {row} ({distance:.3g} m from point {neighbour})"
         for row, neighbour, distance in zip(repetitions, nearest, distances.min(axis=0), strict=True)
     ]
-    if len(texts) > MOST_NAMED:
-        texts = [*texts[:MOST_NAMED], f"{len(texts) - MOST_NAMED} more"]
-    return (f"{repetitions.size} of {len(points)} points left out as repeated: {', '.join(texts)}",)
+    return (f"{repetitions.size} of {len(points)} points left out as repeated: {_first_few(texts)}",)
 
 
 _FLAWS = {
@@ -197,7 +193,7 @@ _FLAWS = {
     path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
     path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",
 }
-"""What there is to say of what `_checked` lets pass."""
+"""Messages on points that `_check_points` lets pass."""
 
 
 def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) -> Road:
@@ -218,15 +214,15 @@ def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) ->
         smoothest=True,
     )  # fmt: skip
     stretch = fitted.length / road.length
-    moved: dict[str, Any] = {name: _stretched(getattr(road, name), stretch) for name in ALONG}
+    moved: dict[str, Any] = {name: _stretch(getattr(road, name), stretch) for name in ALONG}
     return replace(fitted, **moved)
 
 
-def _stretched(along: Along | None, factor: float) -> Along | None:
+def _stretch(along: Along | None, factor: float) -> Along | None:
     return None if along is None else along.replace(s=tuple(factor * s for s in along.s))
 
 
-def _checked(where: str, points: ArrayLike, shortest: float) -> Array:
+def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
     points = reals(f"{where}: points", points).copy()
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
         raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
@@ -263,54 +259,55 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
         )
 
 
-def _sparse(points: Array) -> list[str]:
-    """What there is to say of points far apart: a record in centimetres looks like that."""
-    usual = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
-    if usual <= SPARSE:
+def _spacing_notes(points: Array) -> list[str]:
+    """A note on points far apart: a record in centimetres looks like that."""
+    spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
+    if spacing <= SPARSE:
         return []
-    said = f"the points are {usual:.3g} m apart (median): are x and y in metres, or in centimetres?"
-    _log.warning("adaptrack: %s", said)
-    return [said]
+    note = f"the points are {spacing:.3g} m apart (median): are x and y in metres, or in centimetres?"
+    _log.warning("adaptrack: %s", note)
+    return [note]
 
 
-def _said(fit: _Fit, rows: NDArray[np.int64]) -> str:
+def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:
     return (
         f"{rows.size} points; largest deviation {fit.deviation:.3g} m, at point {rows[fit.distances.argmax()]}; "
         f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m; smoothing length {fit.scale:.3g} m"
     )
 
 
-def _bounded(found: _Found, fit: _Fit, bound: float) -> list[str]:
-    """What there is to say where the bound and not the noise chose the smoothing length."""
-    wanted = float(found.scales[found.best])
-    if fit.scale >= wanted:
+def _bound_notes(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
+    """A note where the bound and not the noise chose the smoothing length."""
+    scale = float(estimate.scales[estimate.best])
+    if fit.scale >= scale:
         return []
-    noise = "" if math.isnan(found.noise) else f" of {found.noise:.2g} m"
+    noise = "" if math.isnan(estimate.noise) else f" of {estimate.noise:.2g} m"
     return [
         f"the bound of {bound:.3g} m on the deviation, not the noise{noise}, chose the smoothing length; without it "
-        f"that is {wanted:.3g} m, up to {found.distances.max():.3g} m from a point"
+        f"that is {scale:.3g} m, up to {estimate.distances.max():.3g} m from a point"
     ]
 
 
-def _left_out(road: Road, points: Array, place: Array, out: NDArray[np.bool_]) -> list[str]:
-    """What there is to say of outliers."""
-    rows = np.flatnonzero(out)
-    foot = road.at(place[rows])
-    away = np.hypot(foot.x - points[rows, 0], foot.y - points[rows, 1])
-    named = [f"at point {row} ({far:.3g} m)" for row, far in zip(rows[:MOST_NAMED], away[:MOST_NAMED], strict=True)]
-    more = [f"{rows.size - MOST_NAMED} more"] if rows.size > MOST_NAMED else []
-    return [f"{rows.size} of {out.size} points left out as outliers: {', '.join(named + more)}"] if named else []
+def _outlier_notes(road: Road, points: Array, s: Array, outliers: NDArray[np.bool_]) -> list[str]:
+    """A note on the points that were left out, with their distances from the road at arc lengths s (n,) m."""
+    rows = np.flatnonzero(outliers)
+    foot = road.at(s[rows])
+    distances = np.hypot(foot.x - points[rows, 0], foot.y - points[rows, 1])
+    texts = [f"at point {row} ({distance:.3g} m)" for row, distance in zip(rows, distances, strict=True)]
+    return [f"{rows.size} of {outliers.size} points left out as outliers: {_first_few(texts)}"] if texts else []
 
 
-def _by_place(value: Any, road: Road) -> Any:
-    """Values at points, in the order of their places along the road; the last of those at one place counts."""
-    if not (isinstance(value, tuple) and isinstance(value[0], np.ndarray)):
-        return value
-    s, values = value
+def _first_few(texts: list[str]) -> str:
+    rest = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
+    return ", ".join([*texts[:MOST_NAMED], *rest])
+
+
+def _sort_by_arc_length(s: Array, values: Array, road: Road) -> tuple[Array, Array]:
+    """Values at arc lengths s (n,) m in their order; of several at one place the last one counts."""
     if road.closed:
         s = np.mod(s, road.length)
     order = np.argsort(s, kind="stable")
-    s, values = s[order], values[order]
+    s, values = s[order], np.asarray(values, dtype=np.float64)[order]
     last = np.append(np.diff(s) > 1e-9, True)
     s, values = s[last], values[last]
     if road.closed:  # so that it is continuous over the seam
@@ -343,73 +340,51 @@ class _Record:
         return _Record(self.points[~out], self.rows[~out], self.origin, self.closed)
 
 
-def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
-    """How many points make the road, whether it is a lap, and what there is to say about it.
+def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
+    """The number of points that make the road, whether it is a lap, and notes.
 
-    A lap is closed where the record is back within twice the usual distance of its points (3 m at least) of its start,
+    A lap is closed where the record is back within twice the median distance of its points (3 m at least) of its start,
     in the direction of its start (within 60 degrees), after ten times that distance.
     """
     steps = np.diff(points, axis=0)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
-    usual = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
-    near = max(2.0 * usual, 3.0)
-    whole = np.concatenate([[0.0], np.cumsum(lengths)])
-    start = points[int(np.searchsorted(whole, min(near, 0.2 * whole[-1])))] - points[0]
+    spacing = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
+    near = max(2.0 * spacing, 3.0)
+    s = np.concatenate([[0.0], np.cumsum(lengths)])
+    start = points[int(np.searchsorted(s, min(near, 0.2 * s[-1])))] - points[0]
     distance = np.hypot(*(points - points[0]).T)
-    back = (distance < near) & (whole > 10.0 * near)
+    back = np.flatnonzero((distance < near) & (s > 10.0 * near))
     ahead = np.concatenate([steps, steps[-1:]])
-    ahead[-1] = points[-1] - points[np.searchsorted(whole, whole[-1] - near)]
+    ahead[-1] = points[-1] - points[np.searchsorted(s, s[-1] - near)]
     with np.errstate(invalid="ignore"):
-        same = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
-    passes = np.split(np.flatnonzero(back), np.flatnonzero(np.diff(np.flatnonzero(back)) > 1) + 1)
-    first = next((each for each in passes if same[each].any()), np.empty(0, dtype=np.int64))
-    if closed is None:
-        closed = first.size > 0
-    if not closed:
+        aligned = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
+    passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
+    first = next((rows for rows in passes if aligned[rows].any()), np.empty(0, dtype=np.int64))
+    if not (first.size > 0 if closed is None else closed):
         return len(points), False, []
-    kept = len(points)
+    count = len(points)
     if first.size:  # the point before the start
         beside = (points[first] - points[0]) @ start / np.hypot(*start)
-        before = first[beside < -1e-3 * usual]
-        kept = int(before[-1]) + 1 if before.size else int(first[0])
-    rest = float(whole[-1] - whole[kept - 1])
-    said = ["a closed lap"]
-    if rest > 2.0 * near:
-        said.append(f"the record goes on for {rest:.0f} m beyond its start: left out")
-    return kept, True, said
+        before = first[beside < -1e-3 * spacing]
+        count = int(before[-1]) + 1 if before.size else int(first[0])
+    rest = float(s[-1] - s[count - 1])
+    excess = [f"the record goes on for {rest:.0f} m beyond its start: left out"] if rest > 2.0 * near else []
+    return count, True, ["a closed lap", *excess]
 
 
 # -- the fit ----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class _Found:
-    """A curve near a record, of the smoothing length that its noise asks for."""
+class _Fit(NamedTuple):
+    """A curve near points, about the origin of their record."""
 
-    record: _Record
-    smoother: Smoother
-    """with the points at their feet"""
-    scales: Array
-    """m, smoothing lengths, increasing"""
-    best: int
-    curve: Curve
-    places: Array
-    """(n,) m, of the feet, in the parameter of the curve"""
-    distances: Array
-    """(n,) m"""
-    noise: float
-    """m, standard deviation of the points across the curve, whatever a few of them do; NaN: no estimate"""
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A road near a record."""
-
-    road: Road
+    scale: float
+    """m, the smoothing length"""
+    powers: Array
+    """(count, 2, 4) m, its cubics"""
+    table: Pieces
     along: Array
     """(n,) m, arc length of each point's foot"""
     distances: Array
     """(n,) m"""
-    scale: float
-    """m, the smoothing length"""
 
     @property
     def deviation(self) -> float:
@@ -417,42 +392,58 @@ class _Fit:
         return float(self.distances.max())
 
 
-def _cross_validated(record: _Record, robust: bool) -> tuple[_Found, NDArray[np.bool_]]:
-    """The curve that cross-validation chooses, and which points it leaves out where it is to be robust."""
-    none = np.zeros(len(record.points), dtype=bool)
-    out = _spikes(record.points) if robust else none
-    found = _placed(record.without(out))
+@dataclass(frozen=True)
+class _Estimate:
+    """The smoothing length that the noise of a record asks for."""
+
+    record: _Record
+    smoother: Smoother
+    """with the points at their feet"""
+    scales: Array
+    """m, smoothing lengths, increasing"""
+    best: int
+    distances: Array
+    """(n,) m, of the points from the curve of the best smoothing length"""
+    noise: float
+    """m, standard deviation of the points across the curve, whatever a few of them do; NaN: no estimate"""
+
+
+def _cross_validated(record: _Record, robust: bool) -> tuple[_Estimate, NDArray[np.bool_]]:
+    """The smoothing length that cross-validation chooses, and the outliers that it leaves out if it is robust."""
+    outliers = _find_spikes(record.points) if robust else np.zeros(len(record.points), dtype=bool)
+    estimate = _estimate(record.without(outliers))
     if not robust:
-        return found, out
+        return estimate, outliers
     for _ in range(ROUNDS):
-        distances, noise = _calm(found, record, out)
+        distances, noise = _robust_distances(estimate, record, outliers)
         far = distances > max(MAX_DEVIATION, NOISES * noise)
-        if (far == out).all() or far.mean() > SHARE:
+        if (far == outliers).all() or far.mean() > SHARE:
             break
-        out = far
-        found = _placed(record.without(out))
-    lonely = _lonely(out, *_calm(found, record, out))
-    return (found if (lonely == out).all() else _placed(record.without(lonely))), lonely
+        outliers = far
+        estimate = _estimate(record.without(outliers))
+    lonely = _isolated(outliers, *_robust_distances(estimate, record, outliers))
+    return (estimate if (lonely == outliers).all() else _estimate(record.without(lonely))), lonely
 
 
-def _spikes(points: Array) -> NDArray[np.bool_]:
-    """Short rows of points to which the record leaps, and from which it leaps back."""
-    out = np.zeros(len(points), dtype=bool)
+def _find_spikes(points: Array) -> NDArray[np.bool_]:
+    """Mark short rows of points to which the record leaps, and from which it leaps back."""
+    spikes = np.zeros(len(points), dtype=bool)
     steps = np.hypot(*np.diff(points, axis=0).T)
     leaps = np.flatnonzero(steps > LEAP * scipy.ndimage.median_filter(steps, 4 * IN_A_ROW + 1, mode="nearest"))
     for there, back in itertools.pairwise(leaps):
         bridge = math.dist(points[there], points[back + 1])
         if back - there <= IN_A_ROW and LEAP * bridge < steps[there : back + 1].sum():
-            out[there + 1 : back + 1] = True
-    return out
+            spikes[there + 1 : back + 1] = True
+    return spikes
 
 
-def _calm(found: _Found, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
+def _robust_distances(estimate: _Estimate, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
     """(n,) m, the distances of all points from a curve that is too smooth to follow a few, and the noise about it."""
-    near = np.interp(record.rows, found.record.rows, found.smoother.places)
-    scale = max(float(found.scales[found.best]), CALM * found.smoother.spacing)
-    distances = found.smoother.curve(scale).feet(record.points - record.origin, near)[1]
-    return distances, _noise(distances[~out], found.smoother.score(scale).used)
+    places = np.interp(record.rows, estimate.record.rows, estimate.smoother.places)
+    scale = max(float(estimate.scales[estimate.best]), CALM * estimate.smoother.spacing)
+    scales = [scale, *estimate.scales[estimate.scales > scale]]
+    fit = _first_fit(estimate.smoother, scales, record.points - record.origin, places)
+    return fit.distances, _noise(fit.distances[~out], estimate.smoother.score(fit.scale).used)
 
 
 def _noise(distances: Array, used: float) -> float:
@@ -460,8 +451,8 @@ def _noise(distances: Array, used: float) -> float:
     return 1.4826 * float(np.median(distances)) / math.sqrt(max(1.0 - used / distances.size, 0.1))
 
 
-def _lonely(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[np.bool_]:
-    """Those in short rows whose neighbours lie on the curve: not the points of a bend that it cuts."""
+def _isolated(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[np.bool_]:
+    """The outliers in short rows whose neighbours lie on the curve: not the points of a bend that it cuts."""
     lonely = np.zeros_like(out)
     rows = np.flatnonzero(out)
     for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
@@ -472,8 +463,8 @@ def _lonely(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[n
     return lonely
 
 
-def _placed(record: _Record, smoothest: bool = False) -> _Found:
-    """The smoothing length and the places of the points, one found from the other."""
+def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
+    """The smoothing length and the places of the points, each from the other in turn."""
     points = record.points - record.origin
     places, length = record.first_places()
     spacing = max(length / len(points), SHORTEST_KNOTS)
@@ -481,19 +472,18 @@ def _placed(record: _Record, smoothest: bool = False) -> _Found:
     best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing)
-        best, curve = _from(smoother, scales, LENGTHS - 1 if smoothest else _least(smoother, scales, best))
-        feet, distances = curve.feet(points, places)
-        places, length = curve.arc_lengths(feet), curve.arc_length
+        first = LENGTHS - 1 if smoothest else _best_scale(smoother, scales, best)
+        fit = _first_fit(smoother, scales[first:], points, places)
+        best, places, length = int(np.searchsorted(scales, fit.scale)), fit.along, fit.table.length
         if not record.closed:
             places = places - places.min()
-    assert best is not None
-    used = math.inf if smoothest else smoother.score(float(scales[best])).used
-    noise = _noise(distances, used) if used < MEASURABLE * len(points) else math.nan
+    used = math.inf if smoothest else smoother.score(fit.scale).used
+    noise = _noise(fit.distances, used) if used < MEASURABLE * len(points) else math.nan
     smoother = Smoother(points, places, length, record.closed, spacing)
-    return _Found(record, smoother, scales, best, curve, feet, distances, noise)
+    return _Estimate(record, smoother, scales, int(np.searchsorted(scales, fit.scale)), fit.distances, noise)
 
 
-def _least(smoother: Smoother, scales: Array, start: int | None) -> int:
+def _best_scale(smoother: Smoother, scales: Array, start: int | None) -> int:
     """The smoothing length with the least score, downhill from one, or from the least of a few."""
     scores: dict[int, float] = {}
 
@@ -510,78 +500,72 @@ def _least(smoother: Smoother, scales: Array, start: int | None) -> int:
         best = near
 
 
-def _from(smoother: Smoother, scales: Array, first: int) -> tuple[int, Curve]:
-    """The curve of a smoothing length, or of the next longer one that does not fold."""
-    for k in range(first, LENGTHS):
-        curve = smoother.curve(float(scales[k]))
-        if not curve.folds:
-            return k, curve
+def _first_fit(smoother: Smoother, scales: Iterable[float], points: Array, places: Array) -> _Fit:
+    """The fit of the first smoothing length whose curve does not fold."""
+    for scale in scales:
+        fit = _fit_of(smoother, float(scale), points, places)
+        if fit is not None:
+            return fit
     raise InvalidInput("fit_road: the points fold back on themselves: give them in the order in which they are driven.")
 
 
-def _within(found: _Found, bound: float) -> _Fit:
-    """The road of the longest smoothing length, up to the one that the noise asks for, that keeps a bound."""
-    smoother, scales, best = found.smoother, found.scales, found.best
-    nearest, worst = float(found.distances.max()), int(found.distances.argmax())
+def _fit_of(smoother: Smoother, scale: float, points: Array, places: Array) -> _Fit | None:
+    """The curve of a smoothing length, with the feet of points near their places.
+
+    None where it has a cusp, or turns as hard as only noise does.
+    """
+    powers = smoother.powers(scale)
+    try:
+        table, knots = cubic_line(powers)
+    except InvalidInput:
+        return None
+    line = table.packed(smoother.closed)
+    if line.numbers[MOST_CURVATURE] * table.length > FOLD * len(powers):
+        return None
+    laps = np.floor(places / smoother.length) if smoother.closed else np.zeros_like(places)
+    parameters = np.linspace(0.0, smoother.length, knots.size)
+    near = laps * table.length + np.interp(places - laps * smoother.length, parameters, knots)
+    feet = np.empty((len(points), 4))
+    project_all(line, np.column_stack([points, near]), feet)
+    s, offset = feet[:, 0].copy(), np.where(np.isnan(feet[:, 1]), np.inf, feet[:, 1])
+    beyond = 0.0 if smoother.closed else s - np.clip(s, 0.0, table.length)
+    return _Fit(scale, powers, table, s, np.hypot(offset, beyond))
+
+
+def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
+    """The curve of the longest smoothing length, up to the one that the noise asks for, that keeps a bound."""
+    smoother, scales, best = estimate.smoother, estimate.scales, estimate.best
+    nearest, worst = float(estimate.distances.max()), int(estimate.distances.argmax())
     for refinement in range(REFINEMENTS + 1):
         if refinement:
-            wanted = scales[best]
+            longest = scales[best]
             smoother = smoother.finer()
             scales = np.geomspace(0.5 * smoother.spacing, scales[-1], LENGTHS)
-            best = int(np.searchsorted(scales, wanted, "right")) - 1
-        low, high, middle = -1, best + 1, best
+            best = int(np.searchsorted(scales, longest, "right")) - 1
+        low, high, middle, fit = -1, best + 1, best, None
         while high - low > 1:
-            away = _distances(smoother, float(scales[middle]))
-            if away.max() < nearest:
-                nearest, worst = float(away.max()), int(away.argmax())
-            low, high = (middle, high) if away.max() <= bound else (low, middle)
+            trial = _fit_of(smoother, float(scales[middle]), smoother.points, smoother.places)
+            deviation = math.inf if trial is None else trial.deviation
+            if trial is not None and deviation < nearest:
+                nearest, worst = deviation, int(trial.distances.argmax())
+            low, high, fit = (middle, high, trial) if deviation <= bound else (low, middle, fit)
             middle = (low + high) // 2
-        for k in range(low, max(low - 3, -1), -1):
-            with contextlib.suppress(InvalidInput):  # a cusp
-                fit = _fit(found.record, smoother, float(scales[k]))
-                if fit.deviation <= bound:
-                    return fit
-    scatter = "" if math.isnan(found.noise) else f", which scatter by {found.noise:.2g} m"
+        if fit is not None:
+            return fit
+    scatter = "" if math.isnan(estimate.noise) else f", which scatter by {estimate.noise:.2g} m"
     raise InvalidInput(
         f"fit_road: no smooth curve stays within max_deviation = {bound:.3g} m of the points{scatter}; one is "
-        f"{nearest:.3g} m from point {found.record.rows[worst]}: allow more, or correct the points there."
+        f"{nearest:.3g} m from point {estimate.record.rows[worst]}: allow more, or correct the points there."
     )
 
 
-def _distances(smoother: Smoother, scale: float) -> Array:
-    """(n,) m, of the points from the curve of a smoothing length; infinite where that folds."""
-    curve = smoother.curve(scale)
-    if curve.folds:
-        return np.full(len(smoother.points), np.inf)
-    return curve.feet(smoother.points, smoother.places)[1]
-
-
-def _fit(record: _Record, smoother: Smoother, scale: float) -> _Fit:
-    """The road of a smoothing length, and how far the points are from it: from their feet; ends are ends."""
-    curve = smoother.curve(scale)
-    near = curve.arc_lengths(curve.feet(smoother.points, smoother.places)[0])
-    curve.powers[:, :, 0] += record.origin
-    road = _road(curve.powers, record.closed)
-    x, y = record.points.T
-    feet = feet_near(road, x, y, near).s
-    foot = road.at(feet if record.closed else np.clip(feet, 0.0, road.length))
-    return _Fit(road, feet, np.hypot(foot.x - x, foot.y - y), scale)
-
-
-def _road(powers: Array, closed: bool) -> Road:
-    """The road of cubics, (n, 2, 4), each in a frame at its own start: their coefficients then keep all digits."""
-    start = powers[:, :, 0].copy()
-    powers[:, :, 0] = 0.0
+def _road(fit: _Fit, record: _Record) -> Road:
+    """The road of a fit; each element in a frame at its begin keeps all digits."""
+    starts = fit.powers[:, :, 0] + record.origin
+    fit.powers[:, :, 0] = 0.0
     cubics = tuple(
-        Cubic(x=tuple(x), y=tuple(y), start=(*origin, 0.0))
-        for (x, y), origin in zip(powers.tolist(), start.tolist(), strict=True)
+        Cubic(x=tuple(x), y=tuple(y), start=(*start, 0.0))
+        for (x, y), start in zip(fit.powers.tolist(), starts.tolist(), strict=True)
     )
-    return Road(name="points", table=_laid(cubics, start), closed=closed, elements=cubics)
-
-
-def _laid(cubics: Sequence[Cubic], start: Array) -> Pieces:
-    """The table of cubics that start at places (n, 2)."""
-    tables = tabulate(cubics)
-    table = joined(tables)
-    table.pieces[:, [X, Y]] += np.repeat(start, [len(each.pieces) for each in tables], axis=0)
-    return table
+    table = placed(fit.table, Pose(*record.origin.tolist()))
+    return Road(name="points", table=table, closed=record.closed, elements=cubics)

@@ -21,7 +21,7 @@ import numpy as np
 from adaptrack.base.checked import Finite, Natural, checked, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, moved
+from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, heading_integral
 
 Element = Line | Arc | Clothoid
 
@@ -225,11 +225,15 @@ class _Growing:
     def _laid(self, elements: list[Element]) -> _Part:
         here, begun, s, points = self.end, self.length, [], []
         for element in elements:
-            own = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.apart)) + 1)
-            shape = moved(element.at(own), here)
-            s.append(begun + own)
-            points.append(np.stack([shape.x, shape.y], axis=-1))
-            here, begun = Pose(*(float(value[-1]) for value in shape[:3])), begun + element.length
+            places = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.apart)) + 1)
+            first, last = element.curvatures
+            line = heading_integral(first, (last - first) / element.length, places)
+            line = here.x + 1j * here.y + np.exp(1j * here.heading) * line
+            s.append(begun + places)
+            points.append(np.stack([line.real, line.imag], axis=-1))
+            turn = 0.5 * (first + last) * element.length
+            here = Pose(float(line[-1].real), float(line[-1].imag), here.heading + turn)
+            begun += element.length
         return _Part(elements, np.concatenate(s), np.concatenate(points), here)
 
 

@@ -1,7 +1,8 @@
 """Roads from OpenDRIVE files: the plan view of one road, its lane offset, the middle of one of its lanes.
 
 `READ` lists the elements and attributes that are read, of ASAM OpenDRIVE 1.4 to 1.8 (https://publications.pages.asam.net,
-OpenDRIVE, chapters 9 to 11); the notes of a road name all others. The shape of the line is exact.
+OpenDRIVE, chapters 9 to 11); the notes of a road name all others. The reference line is exact; a line beside it is
+sampled every 0.5 m.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.core.road import X, Y
 from adaptrack.road.along import Along, alongs
-from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, number_of, speed_limit
+from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, line_at_offset, number_of, speed_limit
 from adaptrack.road.road import GAP, KINK, Road
-from adaptrack.road.segments import SHORTEST, Arc, Clothoid, Cubic, Line, Pose, Segment
-from adaptrack.road.table import Pieces, beside, joined, placed, tabulate
+from adaptrack.road.segments import SHORTEST, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.table import Pieces, joined, placed, tabulate
 
 READ = {
     "OpenDRIVE/header": "revMajor revMinor name version date north south east west vendor",
@@ -165,14 +166,15 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     reference = joined([placed(table, pose) for table, pose in zip(tables, near, strict=True)])
     stations = Stations(where, shapes, tables)
     lanes = Lanes(where, road, stations, lane)
-    base = lanes.line
-    table = reference if base is None else beside(reference, *base)
+    table = reference
     values = {**lanes.widths(), **speed_limit(where, road, stations, lanes), **bank_of(where, road, stations, lanes)}
-    values = {name: _moved(value, reference, table) for name, value in values.items()}
+    if lanes.line is not None:
+        table, base_s, s = line_at_offset(reference, *lanes.line)
+        values = {name: _on_line(along, base_s, s) for name, along in values.items()}
     table, shifts = _close_gaps(table, notes)
     closed = _meets_itself(table)
     options = {"closed": closed, **alongs(values | along)}
-    if base is None and not (closed and shifts.any()):
+    if lanes.line is None and not (closed and shifts.any()):
         heads = np.cumsum([0, *(len(part.pieces) for part in tables[:-1])])
         options["elements"] = tuple(
             segment.replace(start=(pose.x + shift.real, pose.y + shift.imag, pose.heading))
@@ -181,6 +183,12 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     name = printable(road.get("name") or Path(where.partition(", road ")[0]).stem)
     notes = [*notes, *stations.notes, *lanes.notes]
     return Road(name=name, table=placed(table, Pose(origin.x, origin.y, 0.0)), notes=tuple(notes), **options)
+
+
+def _on_line(along: Along, base_s: Array, s: Array) -> Along:
+    """A quantity over arc lengths of the reference line, over those (s at base_s, n,) of a line beside it."""
+    places = np.maximum.accumulate(np.interp(along.s, base_s, s) + 1e-9 * np.arange(len(along.s)))
+    return along.replace(s=tuple(places.tolist()))
 
 
 def _shapes(where: str, road: Element) -> tuple[list[Element], list[str]]:
@@ -226,24 +234,6 @@ def _meets_itself(table: Pieces, gap: float = GAP) -> bool:
     turn = float(last.heading - first.heading) / (2.0 * math.pi)
     apart = math.hypot(float(last.x - first.x), float(last.y - first.y))
     return apart <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
-
-
-def _moved(along: Along, reference: Pieces, table: Pieces) -> Along:
-    """A quantity over the arc length of the reference line, over that of a line beside it."""
-    if table is reference or len(along.s) == 1:
-        return along
-    base = np.linspace(0.0, reference.length, max(2, math.ceil(reference.length / 5.0)) + 1)
-    points, own = reference.at(base), np.linspace(0.0, table.length, base.size)
-    for _ in range(50):  # the foot of each point on the line beside
-        beside_ = table.at(np.clip(own, 0.0, table.length))
-        step = (points.x - beside_.x) * np.cos(beside_.heading) + (points.y - beside_.y) * np.sin(beside_.heading)
-        own = np.clip(own + np.clip(step, -5.0, 5.0), 0.0, table.length)
-        if np.abs(step).max() < 1e-6:
-            break
-    own = np.maximum.accumulate(own)
-    s = np.interp(along.s, base, own)
-    s = np.maximum.accumulate(s + 1e-9 * np.arange(s.size))
-    return along.replace(s=tuple(s.tolist()))
 
 
 # -- shapes -----------------------------------------------------------------------------------------------------------

@@ -15,11 +15,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from adaptrack.base.errors import ConfigError
+from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import printable
+from adaptrack.core.road import HALF
 from adaptrack.road.along import NO_LIMIT, Along
 from adaptrack.road.segments import Array
-from adaptrack.road.table import Pieces
+from adaptrack.road.table import Pieces, cubic_line, of_pieces
 
 Cubics = list[tuple[float, Array]]
 """Arc lengths at which cubics begin (m), each with its coefficients."""
@@ -33,6 +34,8 @@ SIDES = ("both", "left", "right")
 """To which a crossfall belongs."""
 SAMPLES = 2.0
 """m, between the samples of widths and bank, between which straight lines are drawn."""
+STEP, SHORTEST_SAMPLE = 0.5, 1e-4
+"""m, most and least between the samples of a line at an offset."""
 DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional")
 """Types of lanes that count to the width of a road."""
 STATED = 1e-3
@@ -323,12 +326,7 @@ def _law_values(laws: Laws, s: Array) -> Array:
     """Piecewise cubics at arc lengths."""
     starts, rows = np.array(laws[0]), laws[1]
     row = np.maximum(np.searchsorted(starts, s, "right") - 1, 0)
-    return _cubic(rows[row].T, s - starts[row])
-
-
-def _cubic(c: Array, b: Array) -> Array:
-    """A cubic with the coefficients c."""
-    return np.asarray(c[0] + b * (c[1] + b * (c[2] + b * c[3])))
+    return _shifted(rows[row].T, s - starts[row])[0]
 
 
 def _increasing(s: Any, values: Any) -> Along:
@@ -339,10 +337,52 @@ def _increasing(s: Any, values: Any) -> Along:
     return Along.through(s, values)
 
 
-def _shifted(c: Array, b: float) -> Array:
-    """The coefficients of a cubic whose argument counts from b."""
+def _shifted(c: Array, b: float | Array) -> Array:
+    """The coefficients of a cubic whose argument counts from b: its value and slope at b come first."""
     slope = c[1] + b * (2.0 * c[2] + 3.0 * b * c[3])
-    return np.array([c[0] + b * (c[1] + b * (c[2] + b * c[3])), slope, c[2] + 3.0 * b * c[3], c[3]])
+    value = c[0] + b * (c[1] + b * (c[2] + b * c[3]))
+    return np.stack(np.broadcast_arrays(value, slope, c[2] + 3.0 * b * c[3], c[3]))
+
+
+def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[Pieces, Array, Array]:
+    """The line at a lateral offset from another, and the arc lengths (m) of its samples on the base and on itself.
+
+    Through samples at most `STEP` apart, and at the joints of base and offset, goes a cubic with their directions.
+
+    Parameters
+    ----------
+    starts, rows : (m,) and (m, 4)
+        Where along the base each cubic of the offset begins (m), and its coefficients; positive to the left, m.
+
+    Raises
+    ------
+    InvalidInput
+        Where the line passes the centre of curvature of its base.
+    """
+    s = np.unique(np.concatenate([base.start, starts, np.arange(0.0, base.length, STEP)]))
+    s = s[(s >= 0.0) & (s <= base.length)]
+    s = s[np.append(True, np.diff(s) > SHORTEST_SAMPLE)]  # editors leave elements of micrometres
+    s[-1] = base.length
+    middle = 0.5 * (s[:-1] + s[1:])
+    piece = np.searchsorted(base.start, middle, "right") - 1
+    law = np.maximum(np.searchsorted(starts, middle, "right") - 1, 0)
+    ends = []
+    for end in (s[:-1], s[1:]):
+        points = of_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF] - 1.0)
+        offset, slope = _shifted(rows[law].T, end - np.array(starts)[law])[:2]
+        ahead, normal = 1.0 - offset * points.curvature, 1j * np.exp(1j * points.heading)
+        for k in np.flatnonzero(~(ahead > 0.0))[:1]:
+            raise InvalidInput(
+                f"at s = {end[k]:.2f} m the lane lies {abs(offset[k]):.3g} m from the reference line, beyond its "
+                f"centre of curvature ({1.0 / abs(points.curvature[k]):.3g} m): it would run backwards; choose "
+                "another lane."
+            )
+        ends.append((points.x + 1j * points.y + offset * normal, (slope - 1j * ahead) * normal * np.diff(s)))
+    (first, begin), (last, end) = ends
+    step = last - first
+    powers = np.stack([first, begin, 3.0 * step - 2.0 * begin - end, begin + end - 2.0 * step], axis=-1)
+    line, places = cubic_line(np.stack([powers.real, powers.imag], axis=1))
+    return line, s, places
 
 
 # -- what else lies along ---------------------------------------------------------------------------------------------
@@ -432,7 +472,7 @@ def _shape_height(shape: Sequence[tuple[float, Array]], t: Array) -> Array:
 def _valid_cubic(cubics: Cubics, start: float, s: Array) -> Array:
     """The last of the cubics that begin at `start` or before, at arc lengths s; 0 before the first."""
     before = [cubic for cubic in cubics if cubic[0] <= start]
-    return _cubic(before[-1][1], s - before[-1][0]) if before else np.zeros_like(s)
+    return _shifted(before[-1][1], s - before[-1][0])[0] if before else np.zeros_like(s)
 
 
 def bank_of(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:

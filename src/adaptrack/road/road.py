@@ -16,7 +16,6 @@ from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
-from adaptrack.core.path import line_numbers
 from adaptrack.core.planning import along as along_kernel
 from adaptrack.core.road import X, Y
 from adaptrack.road.along import ALONG, Along, alongs
@@ -26,8 +25,8 @@ from adaptrack.road.toml import write_road
 
 GAP, KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
-JUMP = 1e-6
-"""1/m, a change of curvature at one place that counts as a jump."""
+JUMP = 1e-4
+"""1/m, a change of curvature at one place that counts as a jump; a line through samples has smaller ones."""
 HALF_LANE = Along.constant(1.75)
 """m, half of a lane of 3.5 m: the width to each side where nothing is said."""
 DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
@@ -299,10 +298,7 @@ class Road:
 
     @cached_property
     def _packed(self) -> Any:
-        start, pieces = (np.ascontiguousarray(each) for each in self.table)
-        numbers = np.empty(4)
-        line_numbers(start, pieces, self.closed, numbers)
-        return kernel.Centreline(start, pieces, numbers)
+        return self.table.packed(self.closed)
 
     def route(self) -> Any:
         """The road with what lies along it as `adaptrack.core.planning` reads it; read-only."""

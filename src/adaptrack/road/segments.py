@@ -1,4 +1,4 @@
-"""The elements of a centre line: straight line, circular arc, clothoid and parametric cubic, each in its exact form.
+"""The elements of a centre line: straight line, circular arc, clothoid and parametric cubic.
 
 An element begins at its own origin and heads along its own x axis (a cubic where its coefficients say); y points to
 the left. Lengths in m, curvatures in 1/m, positive to the left. Where a road is made of elements, each is laid at the
@@ -11,7 +11,6 @@ import math
 from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
@@ -26,8 +25,6 @@ FARTHEST = 1e8
 """m, the largest coordinate: all digits down to a micrometre."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_FEW_TURNS = 10.0
-"""k0^2/|k1| of a clothoid up to which the difference of two Fresnel integrals keeps 12 digits."""
 
 
 class Points(NamedTuple):
@@ -78,12 +75,6 @@ class Line(Placed):
         """Curvature at the start and at the end (1/m)."""
         return 0.0, 0.0
 
-    def at(self, s: ArrayLike) -> Points:
-        """The points at the arc lengths `s` (m)."""
-        s = np.asarray(s, dtype=np.float64)
-        zero = np.zeros_like(s)
-        return Points(s, zero, zero, zero)
-
 
 class Arc(Placed):
     """A circular arc."""
@@ -96,13 +87,6 @@ class Arc(Placed):
     def curvatures(self) -> tuple[float, float]:
         """Curvature at the start and at the end (1/m)."""
         return self.curvature, self.curvature
-
-    def at(self, s: ArrayLike) -> Points:
-        """The points at the arc lengths `s` (m): the chord s sin(a)/a under the angle a = curvature s/2."""
-        s = np.asarray(s, dtype=np.float64)
-        half = 0.5 * self.curvature * s
-        chord = s * np.sinc(half / np.pi)
-        return Points(chord * np.cos(half), chord * np.sin(half), 2.0 * half, np.full_like(s, self.curvature))
 
 
 class Clothoid(Placed):
@@ -117,30 +101,6 @@ class Clothoid(Placed):
     def curvatures(self) -> tuple[float, float]:
         """Curvature at the start and at the end (1/m)."""
         return self.start_curvature, self.end_curvature
-
-    @property
-    def sharpness(self) -> float:
-        """Change of curvature per arc length (1/m^2)."""
-        return (self.end_curvature - self.start_curvature) / self.length
-
-    def at(self, s: ArrayLike) -> Points:
-        """The points at the arc lengths `s` (m), by Fresnel integrals; by quadrature where it is nearly an arc.
-
-        With k(s) = k0 + k1 s the heading k0 s + k1 s^2/2 = (k1/2)(s + k0/k1)^2 - k0^2/(2 k1) makes both integrals
-        Fresnel's (Abramowitz and Stegun, section 7.3, where C and S have pi t^2/2 for argument).
-        """
-        s = np.asarray(s, dtype=np.float64)
-        k0, k1 = self.start_curvature, self.sharpness
-        heading, curvature = k0 * s + 0.5 * k1 * s * s, k0 + k1 * s
-        if k0 * k0 > _FEW_TURNS * abs(k1) or k1 == 0.0:
-            place = heading_integral(k0, k1, s)
-        else:
-            scale = np.sqrt(np.pi / abs(k1))
-            s1, c1 = scipy.special.fresnel((s + k0 / k1) / scale)
-            s0, c0 = scipy.special.fresnel(k0 / k1 / scale)
-            turned = scale * ((c1 - c0) + 1j * np.sign(k1) * (s1 - s0))
-            place = turned * np.exp(-0.5j * k0 * k0 / k1)
-        return Points(place.real, place.imag, heading, curvature)
 
 
 class Cubic(Placed):
@@ -164,19 +124,13 @@ class Cubic(Placed):
             raise ValueError(f"its control points are {reach:.3g} m apart in all: at most {LONGEST:g} m are allowed.")
         return self
 
+    @property
+    def powers(self) -> Array:
+        """(2, 4) m, the coefficients of x and y over a parameter from 0 to 1."""
+        return np.array([self.x, self.y]) * self.end ** np.arange(4.0)
+
 
 Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]
-
-
-def moved(points: Points, pose: Pose) -> Points:
-    """The points with their origin at a pose."""
-    cos, sin = np.cos(pose.heading), np.sin(pose.heading)
-    return Points(
-        pose.x + cos * points.x - sin * points.y,
-        pose.y + sin * points.x + cos * points.y,
-        points.heading + pose.heading,
-        points.curvature,
-    )
 
 
 def heading_integral(k0: ArrayLike, k1: ArrayLike, s: ArrayLike) -> NDArray[np.complex128]:

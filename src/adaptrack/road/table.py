@@ -1,42 +1,28 @@
 """A centre line as polynomials of its arc length: what the compiled projection reads, tabulated from exact elements.
 
-Every element (`segments`), and a curve that runs beside one (`beside`), is cut into pieces that turn by at most 1 rad.
-On each, position and heading are polynomials of degree 11 in u = (s - middle)/half, -1 <= u <= 1, in a frame at its
-middle. Lines, arcs and clothoids keep their exact heading, so their curvature is exact; of what has no closed form
-(cubics, lane offsets) a piece is halved until it fits, see `FIT`.
+Every element (`segments`) is cut into pieces that turn by at most 1 rad. On each, position and heading are polynomials
+of degree 11 in u = (s - middle)/half, -1 <= u <= 1, in a frame at its middle. Lines, arcs and clothoids keep their
+exact heading, so their curvature is exact; a cubic is halved until its pieces fit (`core.path`).
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
-from adaptrack.core.path import COLUMNS, CURVATURE_FIT, FIT, ROUNDING, TURN
-from adaptrack.core.road import ACROSS, ALONG, COS, DEGREE, HALF, HEADING, SIN, TURNED, X, Y
+from adaptrack.core.path import COLUMNS, OK, TOO_SMALL, TURN, line_numbers, write_cubics
+from adaptrack.core.road import ACROSS, ALONG, COS, DEGREE, HALF, HEADING, SIN, TURNED, Centreline, X, Y
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
-
-TOGETHER = 1024
-"""Cubics that are fitted at once: some megabytes."""
-HALVINGS, MOST = 30, 50
-"""How often a piece may be halved, and how many pieces may wait for it per curve, before the curve counts as having a
-point without a direction."""
-
-SHORTEST = 1e-4
-"""m, a piece beside another that is shorter goes with its neighbour: editors leave elements of micrometres."""
-
 
 _U = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))[::-1]
 _TO_COEFFICIENTS = np.linalg.inv(np.vander(_U, increasing=True))
-_CHECKED = np.array([-1.0, -0.93, -0.55, -0.13, 0.21, 0.62, 0.96, 1.0])
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_NODES, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS  # on 0..1
 
 
 class Pieces(NamedTuple):
@@ -52,11 +38,11 @@ class Pieces(NamedTuple):
         """m"""
         return float(self.start[-1])
 
-    @property
-    def most_curvature(self) -> float:
-        """1/m, that no curvature exceeds."""
-        slopes = np.abs(self.pieces[:, TURNED + 1 : COLUMNS]) @ np.arange(1.0, DEGREE + 1)
-        return float((slopes / self.pieces[:, HALF]).max())
+    def packed(self, closed: bool) -> Any:
+        """The record that `adaptrack.core.road` reads."""
+        start, pieces, numbers = *map(np.ascontiguousarray, self), np.empty(4)
+        line_numbers(start, pieces, closed, numbers)
+        return Centreline(start, pieces, numbers)
 
     def at(self, s: ArrayLike, sides: ArrayLike = 1) -> Points:
         """The points at the arc lengths `s`, 0 <= s <= length, in the shape of `s`.
@@ -79,29 +65,20 @@ class Pieces(NamedTuple):
 
 def of_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
-    along = _horner(piece[..., ALONG:ACROSS], u)
-    across = _horner(piece[..., ACROSS:TURNED], u)
+    along = _polynomial(piece[..., ALONG:ACROSS], u)
+    across = _polynomial(piece[..., ACROSS:TURNED], u)
     cos, sin = piece[..., COS], piece[..., SIN]
     return Points(
         piece[..., X] + cos * along - sin * across,
         piece[..., Y] + sin * along + cos * across,
-        piece[..., HEADING] + _horner(piece[..., TURNED:COLUMNS], u),
-        _horner_slope(piece[..., TURNED:COLUMNS], u) / piece[..., HALF],
+        piece[..., HEADING] + _polynomial(piece[..., TURNED:COLUMNS], u),
+        _polynomial(polyder(piece[..., TURNED:COLUMNS], axis=-1), u) / piece[..., HALF],
     )
 
 
-def _horner(coefficients: Array, u: Array) -> Array:
-    value = coefficients[..., DEGREE]
-    for k in range(DEGREE - 1, -1, -1):
-        value = value * u + coefficients[..., k]
-    return value
-
-
-def _horner_slope(coefficients: Array, u: Array) -> Array:
-    value = DEGREE * coefficients[..., DEGREE]
-    for k in range(DEGREE - 1, 0, -1):
-        value = value * u + k * coefficients[..., k]
-    return value
+def _polynomial(coefficients: NDArray[Any], u: Array) -> Array:
+    """Polynomials of coefficients (..., n) at u (...)."""
+    return np.asarray(polyval(u, np.moveaxis(coefficients, -1, 0), tensor=False))
 
 
 # -- from elements ----------------------------------------------------------------------------------------------------
@@ -113,10 +90,10 @@ def tabulate(segments: Sequence[Segment]) -> list[Pieces]:
     InvalidInput
         For a cubic with a point at which it stands still (a cusp).
     """
-    cubics = [segment for segment in segments if isinstance(segment, Cubic)]
-    batches = (cubics[k : k + TOGETHER] for k in range(0, len(cubics), TOGETHER))
-    fitted = itertools.chain.from_iterable(_of_curves(_Cubics(batch)) for batch in batches)
-    return [next(fitted) if isinstance(segment, Cubic) else _natural(segment) for segment in segments]
+    cubics = [segment.powers for segment in segments if isinstance(segment, Cubic)]
+    pieces, counts = _cubic_pieces(np.array(cubics).reshape(-1, 2, 4))
+    rows = iter(np.split(pieces, np.cumsum(counts)))
+    return [end_to_end(next(rows)) if isinstance(segment, Cubic) else _natural(segment) for segment in segments]
 
 
 def _natural(segment: Line | Arc | Clothoid) -> Pieces:
@@ -150,7 +127,7 @@ def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
 
 def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
-    turns = _horner(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
@@ -160,225 +137,47 @@ def _chained(start: Array, pieces: Array) -> Pieces:
     return Pieces(start, pieces)
 
 
-# -- from curves without a closed form --------------------------------------------------------------------------------
-class _State(NamedTuple):
-    """Points of curves, and how fast their parameter p runs over them."""
-
-    place: NDArray[np.complex128]
-    """x + i y, m"""
-    heading: Array
-    """rad, of one turn"""
-    curvature: Array
-    """1/m"""
-    speed: Array
-    """m per unit of p"""
-
-
-class _Curves(Protocol):
-    """Many curves of one kind, each over a parameter p."""
-
-    def ranges(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """For each range of p in order: its curve, its first and its last p."""
-
-    def state(self, which: NDArray[np.int64], p: Array) -> _State:
-        """The curves `which`, (n,), at p, (n, m)."""
-
-    def speed(self, which: NDArray[np.int64], p: Array) -> Array:
-        """The speed of `state` alone."""
-
-
-class _Cubics:
-    def __init__(self, cubics: Sequence[Cubic]) -> None:
-        self._x = np.array([cubic.x for cubic in cubics])
-        self._y = np.array([cubic.y for cubic in cubics])
-        self._end = np.array([cubic.end for cubic in cubics])
-
-    def ranges(self) -> tuple[NDArray[np.int64], Array, Array]:
-        return np.arange(self._end.size), np.zeros_like(self._end), self._end
-
-    def state(self, which: NDArray[np.int64], p: Array) -> _State:
-        place, slope, bend = _cubic(self._coefficients(which), p)
-        speed = np.abs(slope)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            curvature = (np.conj(slope) * bend).imag / speed**3
-        return _State(place, np.angle(slope), curvature, speed)
-
-    def speed(self, which: NDArray[np.int64], p: Array) -> Array:
-        c = self._coefficients(which)
-        return np.abs(c[1] + p * (2.0 * c[2] + p * (3.0 * c[3])))
-
-    def _coefficients(self, which: NDArray[np.int64]) -> NDArray[np.complex128]:
-        return (self._x[which] + 1j * self._y[which]).T[:, :, np.newaxis]
-
-
-class _Beside:
-    """The curves at a lateral distance d(b) = d0 + d1 (b - b0) + ... from one, b: the arc length of that one.
-
-    With its curvature k the tangent is ((1 - d k), d') in the frame of the curve, which gives heading and curvature.
-    """
-
-    def __init__(self, base: Pieces, first: Array, coefficients: Array) -> None:
-        self._base, self._first, self._d = base, first, coefficients
-
-    def ranges(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """Cut where the base has a new piece or the distance a new polynomial."""
-        cuts = np.union1d(self._base.start, self._first)
-        cuts = cuts[(cuts >= 0.0) & (cuts <= self._base.length)]
-        cuts = cuts[np.concatenate([[True], np.diff(cuts) > SHORTEST])]
-        cuts[-1] = self._base.length
-        middle = 0.5 * (cuts[:-1] + cuts[1:])
-        self._piece = np.searchsorted(self._base.start, middle, "right") - 1
-        self._law = np.maximum(np.searchsorted(self._first, middle, "right") - 1, 0)
-        return np.arange(middle.size), cuts[:-1], cuts[1:]
-
-    def state(self, which: NDArray[np.int64], p: Array) -> _State:
-        row, law = self._piece[which], self._law[which]
-        piece = self._base.pieces[row][:, np.newaxis, :]
-        half = piece[..., HALF]
-        u = (p - self._base.start[row][:, np.newaxis]) / half - 1.0
-        base = of_pieces(piece, u)
-        sharpness = _horner_bend(piece[..., TURNED:COLUMNS], u) / half**2
-        d, slope, bend = _cubic(self._d[law].T[:, :, np.newaxis], p - self._first[law][:, np.newaxis])
-        ahead = 1.0 - d * base.curvature
-        speed = np.hypot(ahead, slope)
-        turning = bend * ahead + slope * (slope * base.curvature + d * sharpness)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            curvature = (base.curvature + turning / speed**2) / speed
-        place = base.x + 1j * base.y + 1j * d * np.exp(1j * base.heading)
-        # Beyond the centre of curvature the curve would run backwards: its speed counts as zero, for `_of_curves`.
-        return _State(place, base.heading + np.arctan2(slope, ahead), curvature, np.where(ahead > 0.0, speed, 0.0))
-
-    def speed(self, which: NDArray[np.int64], p: Array) -> Array:
-        return self.state(which, p).speed
-
-
-def _cubic(c: NDArray[Any], b: Array) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """A cubic with the coefficients c, its slope and its second derivative."""
-    value = c[0] + b * (c[1] + b * (c[2] + b * c[3]))
-    return value, c[1] + b * (2.0 * c[2] + 3.0 * b * c[3]), 2.0 * c[2] + 6.0 * b * c[3]
-
-
-def _horner_bend(coefficients: Array, u: Array) -> Array:
-    value = DEGREE * (DEGREE - 1) * coefficients[..., DEGREE]
-    for k in range(DEGREE - 1, 1, -1):
-        value = value * u + k * (k - 1) * coefficients[..., k]
-    return value
-
-
-def beside(base: Pieces, first: ArrayLike, coefficients: ArrayLike) -> Pieces:
-    """The curve at a lateral distance from another, as OpenDRIVE's lanes lie beside their reference line.
+# -- from cubics ------------------------------------------------------------------------------------------------------
+def cubic_line(powers: Array) -> tuple[Pieces, Array]:
+    """The line of cubics one after the other, and the arc lengths (n + 1,) m at which they begin and end.
 
     Parameters
     ----------
-    first : (m,) array
-        m, where along the base each polynomial begins, increasing; the first one also holds before.
-    coefficients : (m, 4) array
-        Of 1, b, b^2, b^3, b counted from its `first`; positive to the left, m.
+    powers : (n, 2, 4) array
+        Coefficients (m) of x and y in 1, p, p^2, p^3, where p runs from 0 to 1 along each cubic.
 
     Raises
     ------
     InvalidInput
-        Where the curve passes the centre of curvature of its base: it would run backwards there.
+        When a cubic has a cusp.
     """
-    curves = _Beside(base, np.asarray(first, dtype=np.float64), np.asarray(coefficients, dtype=np.float64))
-    return joined(_of_curves(curves))
+    pieces, counts = _cubic_pieces(powers)
+    line = joined([end_to_end(pieces)])
+    return line, line.start[np.concatenate([[0], np.cumsum(counts)])]
 
 
-def _of_curves(curves: _Curves) -> list[Pieces]:
-    """Fit pieces to curves, halving those that do not fit; one table per range, each in place.
-
-    A piece that fits at `_CHECKED` points in position, curvature and length is kept.
-    """
-    which, low, high = curves.ranges()
-    owner, count = np.arange(which.size), which.size
-    bad = np.ones(count, dtype=bool)
-    made: list[tuple[int, float, float, Array]] = []
-    for _ in range(HALVINGS):
-        with np.errstate(divide="ignore", invalid="ignore"):  # at a cusp, which does not fit
-            pieces, length, fits = _fitted(curves, which, low, high)
-        made += [(int(owner[k]), float(low[k]), float(length[k]), pieces[k]) for k in np.flatnonzero(fits)]
-        bad = ~fits
-        if not bad.any():
-            break
-        middle = 0.5 * (low[bad] + high[bad])
-        owner, which = np.repeat(owner[bad], 2), np.repeat(which[bad], 2)
-        low = np.stack([low[bad], middle], axis=1).ravel()
-        high = np.stack([middle, high[bad]], axis=1).ravel()
-        if low.size > MOST * count:
-            bad = np.ones(1, dtype=bool)
-            break
-    if bad.any():
+def _cubic_pieces(powers: Array) -> tuple[Array, NDArray[np.int64]]:
+    """The pieces of cubics, and how many each has."""
+    linear, square, cube = np.moveaxis(powers[:, :, 1:], -1, 0)
+    steps = np.concatenate([linear + square + cube, linear, linear + 2.0 * square + 3.0 * cube], axis=1)
+    counts, room = np.empty(len(powers), dtype=np.int64), len(powers) + 16
+    status = TOO_SMALL
+    while status == TOO_SMALL:
+        room *= 2
+        pieces = np.empty((room, COLUMNS))
+        status, last = write_cubics(steps, pieces, counts)
+    if status != OK:
         raise InvalidInput(
-            f"the curve has a cusp, or runs backwards, near its parameter {low[0]:.6g} (element {int(owner[0])}): "
-            "a lane must stay on its side of the centre of curvature, and a cubic must not stand still."
+            f"cubic {last} has a cusp: a cubic must have a direction everywhere; correct its coefficients."
         )
-    made.sort(key=lambda piece: piece[:2])
-    tables = []
-    for _, mine in itertools.groupby(made, key=lambda piece: piece[0]):
-        row = list(mine)
-        start = np.concatenate([[0.0], np.cumsum([length for _, _, length, _ in row])])
-        tables.append(Pieces(start, np.array([piece for *_, piece in row])))
-    return tables
+    pieces = pieces[:last]
+    pieces[:, [X, Y]] += np.repeat(powers[:, :, 0], counts, axis=0)
+    return pieces, counts
 
 
-def _fitted(
-    curves: _Curves, which: NDArray[np.int64], low: Array, high: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Pieces over ranges of p, their lengths, and which of them fit."""
-    middle = 0.5 * (low + high)
-    whole = _lengths(curves, which, low, high[:, np.newaxis])[:, 0]
-    length = _lengths(curves, which, low, middle[:, np.newaxis])[:, 0]
-    length += _lengths(curves, which, middle, high[:, np.newaxis])[:, 0]
-    u = np.concatenate([_U, [0.0], _CHECKED])
-    p, solved = _parameters(curves, which, low, high, 0.5 * length[:, np.newaxis] * (1.0 + u))
-    state = curves.state(which, p)
-    n = DEGREE + 1
-    mid, heading = state.place[:, n : n + 1], state.heading[:, n : n + 1]
-    place = (state.place - mid) * np.exp(-1j * heading)
-    turned = np.angle(np.exp(1j * (state.heading - heading)))
-    pieces = np.zeros((low.size, COLUMNS))
-    pieces[:, HALF], pieces[:, HEADING] = 0.5 * length, heading[:, 0]
-    pieces[:, X], pieces[:, Y] = mid[:, 0].real, mid[:, 0].imag
-    pieces[:, COS], pieces[:, SIN] = np.cos(heading[:, 0]), np.sin(heading[:, 0])
-    _set_positions(pieces, place[:, :n])
-    pieces[:, TURNED:COLUMNS] = turned[:, :n] @ _TO_COEFFICIENTS.T
-    pieces[:, TURNED] = 0.0
-    found = of_pieces(pieces[:, np.newaxis, :], _CHECKED[np.newaxis, :])
-    checked = slice(n + 1, None)
-    off = np.abs(found.x + 1j * found.y - state.place[:, checked]).max(axis=1)
-    curvature = state.curvature[:, checked]
-    allowed = CURVATURE_FIT * (np.abs(curvature) + 0.1) + ROUNDING / np.maximum(length, 1e-9)[:, np.newaxis]
-    bent = (np.abs(found.curvature - curvature) / allowed).max(axis=1)
-    reach = np.maximum(length, 1.0)
-    fits = (off <= FIT * reach) & (bent <= 1.0) & (np.abs(turned).max(axis=1) <= TURN)
-    fits &= (np.abs(whole - length) <= FIT * reach) & solved & (state.speed.min(axis=1) > 0.0)
-    return pieces, length, fits
-
-
-def _lengths(curves: _Curves, which: NDArray[np.int64], low: Array, p: Array) -> Array:
-    """Arc length from `low`, (n,), to each p, (n, m)."""
-    span = p - low[:, np.newaxis]
-    at = low[:, np.newaxis, np.newaxis] + span[..., np.newaxis] * _NODES
-    speed = curves.speed(which, at.reshape(low.size, -1)).reshape(at.shape)
-    return span * (speed @ _WEIGHTS)
-
-
-def _parameters(
-    curves: _Curves, which: NDArray[np.int64], low: Array, high: Array, s: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """The p at arc lengths s, (n, m), from `low` on, by Newton's method; and for which ranges it converged."""
-    span = (high - low)[:, np.newaxis]
-    p = low[:, np.newaxis] + span * s / np.maximum(s.max(axis=1, keepdims=True), 1e-300)
-    for _ in range(12):
-        speed = curves.speed(which, p)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = (s - _lengths(curves, which, low, p)) / speed
-        step = np.where(np.isfinite(step), step, 0.0)
-        p = np.clip(p + step, low[:, np.newaxis], high[:, np.newaxis])
-        if (np.abs(step) <= 1e-13 * span).all():
-            break
-    solved: NDArray[np.bool_] = np.all(np.abs(step) <= 1e-11 * span, axis=1)
-    return p, solved
+def end_to_end(pieces: Array) -> Pieces:
+    """The pieces (n, COLUMNS) one after the other."""
+    return Pieces(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
 
 
 # -- put together -----------------------------------------------------------------------------------------------------
@@ -398,7 +197,7 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
     start = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = _horner(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
     whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
     pieces[1:, HEADING] -= 2.0 * np.pi * whole

@@ -36,7 +36,7 @@ from adaptrack.core.road import ACROSS, COS, DEGREE, HALF, HEADING, SIN, TURNED,
 from adaptrack.core.road import ALONG as ALONG_PIECE
 from adaptrack.road.along import Along
 from adaptrack.road.segments import FARTHEST, LONGEST, SHORTEST, Segment
-from adaptrack.road.table import Pieces
+from adaptrack.road.table import Pieces, end_to_end
 
 
 def _quantity(value: Any) -> Any:
@@ -105,7 +105,7 @@ def table_of(found: Sequence[Piece]) -> Pieces:
         row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
-    return Pieces(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
+    return end_to_end(pieces)
 
 
 def write_road(

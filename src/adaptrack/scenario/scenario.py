@@ -76,13 +76,6 @@ class Scenario(Record):
         """The lateral reference y_ref (m) at the times `t` (s), in the shape of `t`."""
         return self.reference.at(t)
 
-    def reference_rate_at(self, t: ArrayLike) -> Array:
-        """The exact derivative dy_ref/dt (m/s) at the times `t` (s).
-
-        With the speed v the reference heads along asin(dy_ref/dt / v).
-        """
-        return self.reference.rate(t)
-
     def speed_at(self, t: ArrayLike) -> Array:
         """The speed reference (m/s) at the times `t` (s)."""
         return self.speed.at(t)

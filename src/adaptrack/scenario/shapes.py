@@ -38,7 +38,7 @@ Frequency = Annotated[float, Field(ge=0.0, description="Hz")]
 class Shape(Record):
     """A scalar function of time, defined at every time.
 
-    A concrete shape has a `kind` (its name in files), `at` and `rate`; `linear_in` names those of its fields to which
+    A concrete shape has a `kind` (its name in files) and `at`; `linear_in` names those of its fields to which
     its value is proportional.
     """
 
@@ -48,10 +48,6 @@ class Shape(Record):
     @abstractmethod
     def at(self, t: ArrayLike) -> Array:
         """The value at the times `t` (s), in the shape of `t`; at a jump, the value after it."""
-
-    @abstractmethod
-    def rate(self, t: ArrayLike) -> Array:
-        """The time derivative at `t`, per second; at a kink, the one after it; a jump counts as zero."""
 
     def scaled(self, factor: float) -> Self:
         """The same function of time, multiplied by `factor`."""
@@ -112,10 +108,6 @@ class Constant(Shape):
         """See `Shape.at`."""
         return np.full(np.shape(t), self.value)
 
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        return np.zeros(np.shape(t))
-
     def table(self) -> float:
         """A plain number."""
         return self.value
@@ -123,11 +115,11 @@ class Constant(Shape):
 
 @dataclass(frozen=True, eq=False)  # without its own ==, so that equal `Knots` compare by their fields
 class _Curve:
-    """The points of `Knots` as arrays."""
+    """The points of `Knots` as arrays (n,), with the slopes of the smooth curves there."""
 
     t: Array
     y: Array
-    slope: Array  # at the points; "linear": to the right of each
+    slope: Array
 
 
 class Knots(Shape):
@@ -161,54 +153,27 @@ class Knots(Shape):
     @cached_property
     def _curve(self) -> _Curve:
         t, y = np.array(self.points, dtype=np.float64).T.copy()
-        if t.size == 1:
-            return _Curve(t, y, np.zeros(1))
+        if t.size == 1 or self.method == "linear":
+            return _Curve(t, y, np.zeros(t.size))
         step = np.diff(t)
-        secant = np.diff(y) / step
-        if self.method == "linear":
-            return _Curve(t, y, np.append(secant, secant[-1]))
-        return _Curve(t, y, (_natural_slopes if self.method == "cubic" else _monotone_slopes)(step, secant))
+        slopes = _natural_slopes if self.method == "cubic" else _monotone_slopes
+        return _Curve(t, y, slopes(step, np.diff(y) / step))
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
-        curve = self._curve
-        when, y, slope = curve.t, curve.y, curve.slope
+        when, y, slope = self._curve.t, self._curve.y, self._curve.slope
+        inside: Array = np.clip(np.asarray(t, dtype=np.float64), when[0], when[-1])
         if self.method == "linear" or when.size == 1:
-            return np.asarray(np.interp(np.asarray(t, dtype=np.float64), when, y))
-        k, step, s = self._interval(t)
+            return np.asarray(np.interp(inside, when, y))
+        k = np.clip(np.searchsorted(when, inside, side="right") - 1, 0, when.size - 2)
+        step = when[k + 1] - when[k]
+        s = (inside - when[k]) / step
         r = 1.0 - s
         return (
             r * r * (1.0 + 2.0 * s) * y[k]
             + s * s * (3.0 - 2.0 * s) * y[k + 1]
             + s * r * step * (r * slope[k] - s * slope[k + 1])
         )
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        curve = self._curve
-        when, y, slope = curve.t, curve.y, curve.slope
-        if when.size == 1:
-            return np.zeros(np.shape(t))
-        k, step, s = self._interval(t)
-        if self.method == "linear":
-            inner = slope[k]
-        else:
-            r = 1.0 - s
-            inner = (
-                6.0 * s * r * (y[k + 1] - y[k]) / step
-                + r * (1.0 - 3.0 * s) * slope[k]
-                + s * (3.0 * s - 2.0) * slope[k + 1]
-            )
-        t = np.asarray(t, dtype=np.float64)
-        return np.where((t < when[0]) | (t > when[-1]), 0.0, inner)
-
-    def _interval(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array, Array]:
-        """For each time: the interval that holds it, its length, and the place in it from 0 to 1."""
-        when = self._curve.t
-        t = np.clip(np.asarray(t, dtype=np.float64), when[0], when[-1])
-        k = np.clip(np.searchsorted(when, t, side="right") - 1, 0, when.size - 2)
-        step = when[k + 1] - when[k]
-        return k, step, (t - when[k]) / step
 
     def scaled(self, factor: float) -> Self:
         """The same curve with every value multiplied by `factor`."""
@@ -228,10 +193,6 @@ class Step(Shape):
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
         return np.where(np.asarray(t, dtype=np.float64) >= self.time, self.after, self.before)
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        return np.zeros(np.shape(t))
 
 
 QUINTIC_SLOPE, QUINTIC_PEAK = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
@@ -255,13 +216,8 @@ class LaneChange(Shape):
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
-        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
+        s = _elapsed(t, self.start, self.duration)
         return self.amplitude * s**3 * (10.0 + s * (6.0 * s - 15.0))
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
-        return self.amplitude / self.duration * 30.0 * (s * (1.0 - s)) ** 2
 
 
 class TanhSteps(Shape):
@@ -277,19 +233,9 @@ class TanhSteps(Shape):
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
-        amplitude, place = self._places(t)
-        return (0.5 * amplitude * (1.0 + np.tanh(place))).sum(axis=-1)
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        amplitude, place = self._places(t)
-        tau = np.array(self.steps)[:, 2]
-        return (0.5 * amplitude / tau * (1.0 - np.tanh(place) ** 2)).sum(axis=-1)
-
-    def _places(self, t: ArrayLike) -> tuple[Array, Array]:
-        """Amplitude and (t − t0)/τ of each step, along a new last axis."""
         amplitude, centre, tau = np.array(self.steps, dtype=np.float64).T
-        return amplitude, (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
+        place = (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
+        return (0.5 * amplitude * (1.0 + np.tanh(place))).sum(axis=-1)
 
     def scaled(self, factor: float) -> Self:
         """The same steps with every height multiplied by `factor`."""
@@ -313,12 +259,6 @@ class Sine(Shape):
         wave = self.amplitude * np.sin(math.tau * self.frequency * since + self.phase)
         return np.where(since >= 0.0, wave, 0.0)
 
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        since = np.asarray(t, dtype=np.float64) - self.start
-        omega = math.tau * self.frequency
-        return np.where(since >= 0.0, self.amplitude * omega * np.cos(omega * since + self.phase), 0.0)
-
 
 class Gust(Shape):
     """One 1-cosine gust: ``peak``/2 (1 − cos(2π (t − ``start``)/``duration``)), 0 before and after.
@@ -335,14 +275,8 @@ class Gust(Shape):
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
-        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
+        s = _elapsed(t, self.start, self.duration)
         return 0.5 * self.peak * (1.0 - np.cos(math.tau * s))
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        inner = self.peak * math.pi / self.duration * np.sin(math.tau * _elapsed(t, self.start, self.duration))
-        t = np.asarray(t, dtype=np.float64)
-        return np.where((t >= self.start) & (t < self.start + self.duration), inner, 0.0)
 
 
 def _as_terms(value: Any) -> Any:
@@ -362,10 +296,6 @@ class Sum(Shape):
         """See `Shape.at`."""
         return np.sum([term.at(t) for term in self.terms], axis=0)
 
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        return np.sum([term.rate(t) for term in self.terms], axis=0)
-
     def scaled(self, factor: float) -> Self:
         """The sum of its scaled terms."""
         return self.replace(terms=tuple(term.scaled(factor) for term in self.terms))
@@ -382,8 +312,8 @@ SHAPES: dict[str, type[Shape]] = {
 
 
 def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
-    """The share of the span from `start` that has passed at `t`: 0 at its start, 1 at its end."""
-    return (np.asarray(t, dtype=np.float64) - start) / duration
+    """The share of the span from `start` that has passed at `t`: 0 until its start, 1 from its end on."""
+    return np.clip((np.asarray(t, dtype=np.float64) - start) / duration, 0.0, 1.0)
 
 
 def _product(factor: float, value: float) -> float:

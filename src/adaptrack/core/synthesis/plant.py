@@ -1,6 +1,7 @@
 """The simulated car: plant parameters, integration steps and outline, from chassis, tyre and steering actuator.
 
     chassis, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
+    plant parameters           -> tyre_forces
     delay, dead time           -> dead_periods: `core.loop.Settings.dead_whole` and `dead_share`
     body, chassis              -> outline_of
 
@@ -11,11 +12,11 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, packer, record, several, vector, void
+from ..kernel import Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
-from ..plants.parameters import CHASSIS
-from ..plants.tyre import tyre_law
+from ..plants.parameters import CHASSIS, unpack
+from ..plants.tyre import lateral_force, tyre_law
 from .car import static_loads
 from .filter import in_periods
 
@@ -106,6 +107,19 @@ def plant_parameters(chassis, tyre, actuator, parameters):
     p[7], p[8], p[9] = tyre.shape_factor, tyre.curvature, tyre.friction_load_sensitivity
     p[10] = tyre.relaxation_length
     p[11], p[12], p[13] = actuator.lag, actuator.rate, actuator.limit
+
+
+@exported(void(vector, float64, matrix, vector))
+def tyre_forces(plant, friction, wheels, forces):
+    """Write the lateral forces (N) of tyres at rows (n, 3) of slip (rad), vertical load (N) and rear (1) or front (0).
+
+    plant: `plants.parameters.PLANT_PARAMETERS`.
+    """
+    car = unpack(plant)
+    law = tyre_law(car.tyre_linear > 0.5, car.curvature)
+    for i in range(len(wheels)):
+        stiffness = car.stiffness_rear if wheels[i, 2] > 0.5 else car.stiffness_front
+        forces[i] = lateral_force(wheels[i, 0], wheels[i, 1], friction, stiffness, car, law)
 
 
 @exported(float64(Row(Chassis), Row(Tyre)))
