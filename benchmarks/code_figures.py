@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 PACKAGE = "adaptrack"
 ROOMS = (
     "base", "core", "cars", "road", "scenario", "control", "drive", "analysis", "identification", "tuning", "learning",
-    "comparison", "studies", "export", "gym", "results", "cli",
+    "comparison", "studies", "paper", "export", "gym", "results", "cli",
 )  # fmt: skip
 """The rooms in the order of the data flow: a module imports from its own room and from those before it."""
 FORMERLY = {

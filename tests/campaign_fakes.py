@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptrack.tuning.config import CampaignConfig, Setup
+from adaptrack.paper.campaign_config import CampaignConfig, Setup
 
 
 @dataclass(frozen=True)

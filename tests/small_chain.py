@@ -69,7 +69,7 @@ def write(folder: Path, pond: dict[str, Any] | None = None, **changes: Any) -> P
 def short_cuts() -> Iterator[pytest.MonkeyPatch]:
     """No ceiling to the paper's recipe."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("adaptrack.learning.training.ceiling", lambda x, y, held, *more: np.full(len(held), y.mean()))
+        patch.setattr("adaptrack.paper.training.ceiling", lambda x, y, held, *more: np.full(len(held), y.mean()))
         yield patch
 
 

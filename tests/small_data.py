@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.operating_points import grid
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.operating_points import grid
 
 LEVELS = {
     "speed": (4.0, 9.0, 15.0, 22.0),

@@ -11,8 +11,8 @@ from sklearn.utils.estimator_checks import check_estimator
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions import Sugeno, sugeno
 from adaptrack.control.scheduling.functions.sugeno import ANY, CENTRE, SLOPE, WIDTH
-from adaptrack.learning import ANFIS, subtractive_clustering
-from adaptrack.learning import anfis as module
+from adaptrack.paper import ANFIS, subtractive_clustering
+from adaptrack.paper import anfis as module
 
 
 def data(n=300, inputs=2, seed=0):

@@ -20,11 +20,11 @@ from adaptrack.cars import plant as plant_module
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
+from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.campaign_config import CampaignConfig, Plan
+from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.studies.tune_car import TuningEffort, tune
-from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.config import CampaignConfig, Plan
 from adaptrack.tuning.constant_file import load_tuning
-from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs

@@ -6,8 +6,8 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.learning import boosting
 from adaptrack.learning.boosting import cross_validate, explained, explained_shares
-from adaptrack.tuning.dataset import TARGETS
-from adaptrack.tuning.operating_points import sobol
+from adaptrack.paper.data_set_summary import TARGETS
+from adaptrack.paper.operating_points import sobol
 from test_dataset import BOX, wild
 
 

@@ -29,14 +29,22 @@ from adaptrack.base.errors import (
     UnknownName,
 )
 from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
+from adaptrack.paper import campaign as module
+from adaptrack.paper import store
+from adaptrack.paper.campaign import CampaignInterrupted, CampaignStopped, Progress, run_campaign
+from adaptrack.paper.campaign_config import (
+    STANDARD,
+    Plan,
+    Search,
+    TuningLibrary,
+    list_campaigns,
+    load_campaign,
+    spread_tunings,
+)
+from adaptrack.paper.data_set import load_dataset
+from adaptrack.paper.evaluator import tuned_mpc
+from adaptrack.paper.operating_points import fold
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning import campaign as module
-from adaptrack.tuning import store
-from adaptrack.tuning.campaign import CampaignInterrupted, CampaignStopped, Progress, run_campaign
-from adaptrack.tuning.config import STANDARD, Plan, Search, TuningLibrary, list_campaigns, load_campaign, spread_tunings
-from adaptrack.tuning.dataset import load_dataset
-from adaptrack.tuning.evaluator import tuned_mpc
-from adaptrack.tuning.operating_points import fold
 from campaign_fakes import Broken, Failing, Fake, small
 
 CHUNKS = 6
@@ -442,7 +450,7 @@ import os, random, signal, sys, time
 from pathlib import Path
 import pyarrow.parquet
 from campaign_fakes import Fake, small
-from adaptrack.tuning.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign
 
 out, rounds, rng = Path(sys.argv[1]), int(sys.argv[2]), random.Random(1)
 os.environ["FAKE_PAUSE"] = "0.03"
@@ -826,7 +834,7 @@ sys.path.insert(0, sys.argv[1])
 warnings.simplefilter("ignore")
 from distributed import LocalCluster
 from campaign_fakes import Fake, small
-from adaptrack.tuning.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign
 
 if __name__ == "__main__":
     os.environ["FAKE_PAUSE"] = "0.02"
@@ -960,7 +968,7 @@ warnings.simplefilter("ignore")
 from distributed import LocalCluster
 from campaign_fakes import Fake, small
 from adaptrack.base.errors import InvalidInput
-from adaptrack.tuning.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign
 
 if __name__ == "__main__":
     cluster = LocalCluster(n_workers=0, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50)

@@ -125,7 +125,7 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
         ("road plot town --out {file}.png", "adaptrack.road.load_road"),
         ("drive town --length 200 --learned {file}.toml", "adaptrack.road.load_road"),
         ("simulate step --learned {file}.toml", "adaptrack.drive.simulate.simulate"),
-        ("train --data paper-grid --model nn --out {file}.json", "adaptrack.learning.training.train"),
+        ("train --data paper-grid --model nn --out {file}.json", "adaptrack.paper.training.train"),
     ],
 )
 def test_a_place_where_no_result_can_be_written_is_found_before_any_work(monkeypatch, capsys, tmp_path, command, work):
@@ -274,7 +274,7 @@ def test_train_learns_with_the_seed_that_is_given(monkeypatch, capsys, tmp_path,
     def learn(dataset, model, targets, *, seed=0, progress=None):
         raise InvalidInput(f"seed {seed}")
 
-    monkeypatch.setattr("adaptrack.learning.training.train", learn)
+    monkeypatch.setattr("adaptrack.paper.training.train", learn)
     asked = ["train", "--data", data, "--model", "nn", "--out", tmp_path / "nn.json", "--seed", "7"]
     assert run(monkeypatch, capsys, *asked) == (2, "", "adaptrack: seed 7\n")
 

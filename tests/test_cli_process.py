@@ -73,19 +73,19 @@ def run(monkeypatch, capsys, *arguments):
         ("simulate step", "adaptrack.scenario.load_scenario", "Nothing was written"),
         (
             "train --data paper-grid --model nn --out {out}/nn.json",
-            "adaptrack.tuning.dataset.load_dataset",
+            "adaptrack.paper.data_set.load_dataset",
             "Nothing was",
         ),
-        ("reproduce --out {out}", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
+        ("reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
         ("adaptation --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
         ("evaluate-schedules", "adaptrack.learning.adaptation.config.load_adaptation", "Nothing was written"),
         ("certify road-nn", "adaptrack.control.scheduling.load_scheduler", "Nothing was written"),
         (
             "campaign paper-grid --out {out}",
-            "adaptrack.tuning.campaign.run_campaign",
+            "adaptrack.paper.campaign.run_campaign",
             "{out}: go on with --resume",
         ),
-        ("dataset describe paper-grid", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
+        ("dataset describe paper-grid", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
     ],
 )
 def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp_path, command, stopped_in, words):
@@ -104,7 +104,7 @@ def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp
 
 
 def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, capsys, tmp_path):
-    from adaptrack.tuning import campaign
+    from adaptrack.paper import campaign
 
     def stop(*given, **more):
         raise campaign.CampaignInterrupted("interrupted. 3 of 6 chunks are kept in out; go on with --resume.")
@@ -116,7 +116,8 @@ def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, 
 
 
 def test_a_campaign_counts_the_operating_points_that_fail_with_every_tuning(monkeypatch, capsys, tmp_path):
-    from adaptrack.tuning import campaign, dataset
+    from adaptrack.paper import campaign
+    from adaptrack.paper import data_set as dataset
     from small_data import small
 
     data = small()

@@ -34,11 +34,11 @@ from adaptrack.drive.simulate import simulate
 from adaptrack.learning.adaptation.config import Evaluation
 from adaptrack.learning.adaptation.method import Constants, Method
 from adaptrack.learning.adaptation.recipes import best_constant
+from adaptrack.paper.campaign_config import list_campaigns, load_campaign
 from adaptrack.results import write_result
 from adaptrack.results.comparison import comparison_result
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.config import list_campaigns, load_campaign
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.tuning.runs import RunSet, operating_point_runs

@@ -8,12 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
-from adaptrack.tuning import dataset as room
-from adaptrack.tuning import store
-from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.dataset import TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
-from adaptrack.tuning.dataset import data as module
-from adaptrack.tuning.operating_points import fold, grid, mirrored, sobol
+from adaptrack.paper import data_set as module
+from adaptrack.paper import store
+from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
+from adaptrack.paper.data_set_summary import TARGETS, describe, flatness
+from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from campaign_fakes import Fake, small
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
@@ -86,7 +86,7 @@ def test_a_campaigns_folder_loads_and_saves_to_the_same_bytes(campaign, tmp_path
 
 
 def test_loading_a_data_set_loads_neither_compiler_nor_learner(campaign, run_python):
-    code = f"import sys, adaptrack.tuning.dataset as d; d.load_dataset({str(campaign)!r}); print(*sys.modules)"
+    code = f"import sys, adaptrack.paper.data_set as d; d.load_dataset({str(campaign)!r}); print(*sys.modules)"
     assert not {"numba", "sklearn", "matplotlib", "pandas"} & set(run_python(code=code).split())
 
 
@@ -284,7 +284,3 @@ def test_a_description_survives_operating_points_where_every_tuning_fails():
     said = describe(data)
     assert json.dumps(said, allow_nan=False)
     assert (said["costs"]["failed_by_all"], said["costs"]["library_failed"]) == (60, 1.0)
-
-
-def test_every_public_name_of_the_room_is_there():
-    assert all(hasattr(room, name) for name in room.__all__)

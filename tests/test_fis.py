@@ -7,7 +7,7 @@ import pytest
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.control.scheduling.functions.sugeno import ANY
-from adaptrack.learning import ANFIS, read_fis, write_fis
+from adaptrack.paper import ANFIS, read_fis, write_fis
 
 SAMPLE = """\
 [System]

@@ -19,7 +19,7 @@ from adaptrack.learning.adaptation.config import Evaluation
 from adaptrack.learning.adaptation.improve import Learnable, improve
 from adaptrack.learning.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
 from adaptrack.learning.adaptation.method import ImprovementSettings, Method
-from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
+from adaptrack.paper.surfaces import FuzzySurface, Level, NetworkSurface
 from adaptrack.tuning.runs import RunSet
 from small_runs import START, lane_changes, run_set
 

@@ -9,11 +9,11 @@ from sklearn.base import clone
 from sklearn.neural_network import MLPRegressor
 from sklearn.utils.estimator_checks import check_estimator
 
-from adaptrack import learning as room
+from adaptrack import paper as room
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import Network
-from adaptrack.learning import MLP
-from adaptrack.learning.holding import held_out
+from adaptrack.paper import MLP
+from adaptrack.paper.validation import held_out
 
 QUICK = {"epochs": 60, "batch_size": 20}
 
@@ -162,7 +162,7 @@ def test_the_same_seed_gives_the_same_bits(solver):
 
 def test_the_callers_threads_do_not_change_the_bits(run_python):
     code = (
-        "import numpy as np; from adaptrack.learning import MLP; from threadpoolctl import threadpool_limits\n"
+        "import numpy as np; from adaptrack.paper import MLP; from threadpoolctl import threadpool_limits\n"
         "x = np.random.default_rng(0).normal(size=(3000, 4))\n"
         "for threads in (1, 2):\n"
         "    with threadpool_limits(threads):\n"

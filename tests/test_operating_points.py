@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.tuning.operating_points import (
+from adaptrack.paper.operating_points import (
     COLUMNS,
     NAMES,
     PAPER_GRID,

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from adaptrack.learning.boosting import explained_shares
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.data_set_summary import describe
+from adaptrack.paper.operating_points import grid, sobol
 from adaptrack.results import dataset as page
 from adaptrack.results import style
 from adaptrack.results.dataset import write_dataset_report
-from adaptrack.tuning.dataset import DataSet, describe
-from adaptrack.tuning.operating_points import grid, sobol
 from pictures import pictures
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}

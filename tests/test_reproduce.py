@@ -16,11 +16,11 @@ from adaptrack.control.scheduling import Constant, check_scheduler
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import PUBLISHED
 from adaptrack.learning.adaptation.recipes import trained_schedule
-from adaptrack.learning.training import train
+from adaptrack.paper import reproduce as paper
+from adaptrack.paper.reproduce import best_of_library, grid_lookup, reproduce
+from adaptrack.paper.training import train
 from adaptrack.results import knowing, style
 from adaptrack.results import reproduce as page
-from adaptrack.studies import reproduce as paper
-from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
 from pictures import pictures
 from small_data import LIBRARY, SEARCH, small
 

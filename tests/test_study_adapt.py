@@ -33,11 +33,11 @@ from adaptrack.learning.adaptation import recipes, splits
 from adaptrack.learning.adaptation.config import list_adaptations, load_adaptation
 from adaptrack.learning.adaptation.method import Method
 from adaptrack.learning.adaptation.splits import SetUp
+from adaptrack.paper.campaign_config import _plant, load_campaign
+from adaptrack.paper.data_set import load_dataset
 from adaptrack.studies import adapt as study
 from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
-from adaptrack.tuning.config import _plant, load_campaign
-from adaptrack.tuning.dataset import load_dataset
 from small_chain import CAMPAIGN, learned, short_cuts, write
 
 WORK = {

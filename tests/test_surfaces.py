@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptrack.control.scheduling import Number
-from adaptrack.learning import surfaces as module
-from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
+from adaptrack.paper import surfaces as module
+from adaptrack.paper.surfaces import FuzzySurface, Level, NetworkSurface
 from small_models import random_network
 
 DOMAIN = np.array([[3.0, 30.0], [0.3, 1.0]])

@@ -7,10 +7,11 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.control.scheduling import Network, Sugeno
-from adaptrack.learning import ANFIS, MLP, TARGETS, boosting, train
-from adaptrack.learning import training as module
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.operating_points import NAMES, fold, grid, mirrored, sobol
+from adaptrack.learning import boosting
+from adaptrack.paper import ANFIS, MLP, TARGETS, train
+from adaptrack.paper import training as module
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.operating_points import NAMES, fold, grid, mirrored, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}

@@ -179,19 +179,19 @@ _PUBLIC = {
         "minimise",
     ),
     "tuning.objective": ("Objective",),
-    "tuning.config": (
+    "paper.campaign_config": (
         "CampaignConfig",
         "list_campaigns",
         "load_campaign",
     ),
-    "tuning.campaign": ("run_campaign",),
+    "paper.campaign": ("run_campaign",),
     "studies.tune_car": ("TunedCar", "TuningEffort", "tune"),
-    "tuning.dataset": (
+    "paper.data_set": (
         "DataSet",
         "list_datasets",
         "load_dataset",
     ),
-    "learning.training": ("train",),
+    "paper.training": ("train",),
     "comparison.contenders": (
         "Contender",
         "get_contender",
@@ -320,7 +320,10 @@ if TYPE_CHECKING:
     from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.learning.adaptation.config import load_adaptation
-    from adaptrack.learning.training import train
+    from adaptrack.paper.campaign import run_campaign
+    from adaptrack.paper.campaign_config import CampaignConfig, list_campaigns, load_campaign
+    from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
+    from adaptrack.paper.training import train
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
@@ -328,9 +331,6 @@ if TYPE_CHECKING:
     from adaptrack.studies.adapt import adapt
     from adaptrack.studies.shadow import Shadow, shadow
     from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
-    from adaptrack.tuning.campaign import run_campaign
-    from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
-    from adaptrack.tuning.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 

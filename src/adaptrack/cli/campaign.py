@@ -16,8 +16,8 @@ from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, say_next
 
 if TYPE_CHECKING:
-    from adaptrack.tuning.campaign import Progress
-    from adaptrack.tuning.config import CampaignConfig
+    from adaptrack.paper.campaign import Progress
+    from adaptrack.paper.campaign_config import CampaignConfig
 
 STEPS_PER_S = 8e5
 """Control steps that one thread simulates in a second (docs/campaign.md), for an estimate."""
@@ -45,9 +45,9 @@ def campaign(given: CampaignOptions) -> None:
 
     A swarm for each, and the cost of a common library of tunings. Runs that fail are counted; the exit code is 0.
     """
-    from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
-    from adaptrack.tuning.config import load_campaign
-    from adaptrack.tuning.dataset import load_dataset
+    from adaptrack.paper.campaign import CampaignInterrupted, run_campaign
+    from adaptrack.paper.campaign_config import load_campaign
+    from adaptrack.paper.data_set import load_dataset
 
     out, dask = given.out, given.dask
     config = load_campaign(given.config).in_profile(given.profile)
@@ -79,8 +79,8 @@ def campaign(given: CampaignOptions) -> None:
 
 def _estimate(campaign: CampaignConfig, threads: int | None) -> str:
     """How much work a campaign is: runs, memory, and the time on so many threads of this machine."""
+    from adaptrack.paper.campaign_config import Plan
     from adaptrack.scenario.profile import load_profile
-    from adaptrack.tuning.config import Plan
 
     plan = Plan.of(campaign)
     settled, points = plan.config, len(plan.fold.representatives)

@@ -26,8 +26,9 @@ class DescribeOptions:
 def describe_dataset(given: DescribeOptions) -> None:
     """Ranges and optima of a data set, and how much of them can be learned."""
     from adaptrack.learning.boosting import explained_shares
+    from adaptrack.paper.data_set import load_dataset
+    from adaptrack.paper.data_set_summary import describe
     from adaptrack.results.dataset import dataset_result
-    from adaptrack.tuning.dataset import describe, load_dataset
 
     out, as_json = given.out, given.as_json
     dataset = load_dataset(given.name)
@@ -52,7 +53,7 @@ def describe_dataset(given: DescribeOptions) -> None:
 @app.command("list")
 def datasets(as_json: options.Json = False) -> None:
     """List the data sets that ship with the package."""
-    from adaptrack.tuning.dataset import list_datasets
+    from adaptrack.paper.data_set import list_datasets
 
     rows = [{"name": name} for name in list_datasets()]
     show.listing(f"{len(rows)} data sets", rows, as_json)

@@ -31,10 +31,10 @@ def reproduce(given: ReproduceOptions) -> None:
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
+    from adaptrack.paper.data_set import load_dataset
+    from adaptrack.paper.reproduce import reproduce as run_again
     from adaptrack.results.page import write_result
     from adaptrack.results.reproduce import reproduction_result
-    from adaptrack.studies.reproduce import reproduce as run_again
-    from adaptrack.tuning.dataset import load_dataset
 
     out = given.out
     dataset = load_dataset(given.data)

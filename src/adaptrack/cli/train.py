@@ -48,9 +48,9 @@ def train(given: TrainOptions) -> None:
     """
     from adaptrack.control.scheduling import check_scheduler
     from adaptrack.learning.adaptation.recipes import purpose_of, trained_schedule
-    from adaptrack.learning.training import train as learn
+    from adaptrack.paper.data_set import load_dataset
+    from adaptrack.paper.training import train as learn
     from adaptrack.results.answers import behind_trees, of_training
-    from adaptrack.tuning.dataset import load_dataset
 
     out, model, targets = given.out, str(given.model), str(given.targets)
     if out.suffix != ".json":

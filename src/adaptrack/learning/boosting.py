@@ -15,9 +15,9 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.dataset.describe import TARGETS, targets
-from adaptrack.tuning.operating_points import canonical
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.data_set_summary import TARGETS, targets
+from adaptrack.paper.operating_points import canonical
 
 Array = NDArray[np.float64]
 

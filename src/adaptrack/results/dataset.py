@@ -37,13 +37,14 @@ from adaptrack.base.result import (
     where,
 )
 from adaptrack.comparison.statistics import ratio
+from adaptrack.paper.campaign_config import STANDARD
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.data_set_summary import describe, flatness
 from adaptrack.results.answers import of_dataset
 from adaptrack.results.maps import Cells, edges_around
 from adaptrack.results.notebook import html
 from adaptrack.results.words import counted, number, percent, span
 from adaptrack.results.words import describe as in_words
-from adaptrack.tuning.config import STANDARD
-from adaptrack.tuning.dataset import DataSet, describe, flatness
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,7 +118,7 @@ class _Target:
 
 
 def dataset_result(dataset: DataSet, summary: Summary | None = None) -> Result:
-    """A data set as a result; its record is what `adaptrack.tuning.dataset.describe` says of it.
+    """A data set as a result; its record is what `adaptrack.paper.data_set_summary` says of it.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, s
     Parameters
     ----------
     summary
-        What `adaptrack.tuning.dataset.describe` said of it; computed when left out, which takes some seconds.
+        What `adaptrack.paper.data_set_summary` said of it; computed when left out, which takes some seconds.
 
     Raises
     ------

@@ -24,11 +24,11 @@ from adaptrack.base.result import (
     Stroke,
     strokes,
 )
+from adaptrack.paper.reproduce import LEARNED, Reproduction
 from adaptrack.results.dots import Dot, dots_panel
 from adaptrack.results.knowing import in_a_sentence, knowing_picture, knowing_table, outcome, profiles
 from adaptrack.results.runs import Run, runs_result
 from adaptrack.results.words import capital, listed, number, title_of
-from adaptrack.studies.reproduce import LEARNED, Reproduction
 
 Row = Mapping[str, Any]
 

@@ -17,10 +17,10 @@ from adaptrack.control.scheduling import Schedule, list_schedulers, load_schedul
 from adaptrack.learning.adaptation.config import AdaptationConfig
 from adaptrack.learning.adaptation.recipes import Recipes, safe_candidates, stability_map
 from adaptrack.learning.adaptation.splits import SetUp, evaluation_points
+from adaptrack.paper.campaign import Progress as CampaignProgress
+from adaptrack.paper.campaign import closed_loop, evaluator_of, run_campaign, versions_of
+from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run, software
-from adaptrack.tuning.campaign import Progress as CampaignProgress
-from adaptrack.tuning.campaign import closed_loop, evaluator_of, run_campaign, versions_of
-from adaptrack.tuning.dataset import DataSet, load_dataset
 
 Comparisons = Mapping[str, Comparison]
 History = list[dict[str, float]]

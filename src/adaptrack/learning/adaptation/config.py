@@ -16,7 +16,7 @@ from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.learning.adaptation.method import Method
-from adaptrack.tuning.config import CampaignConfig, Pair, load_campaign
+from adaptrack.paper.campaign_config import CampaignConfig, Pair, load_campaign
 
 Array = NDArray[np.float64]
 

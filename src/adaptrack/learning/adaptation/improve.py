@@ -21,7 +21,7 @@ from adaptrack.control.scheduling import Function, Learned, Schedule, Scheduling
 from adaptrack.learning.adaptation.landscape import OUTPUTS, Rescue, Wishes, landscape
 from adaptrack.learning.adaptation.method import Method
 from adaptrack.learning.adaptation.splits import Training, held_out_noise, training_noise
-from adaptrack.learning.surfaces import Surface
+from adaptrack.paper.surfaces import Surface
 from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field
 from adaptrack.base.files import Record
 from adaptrack.control.controllers import Tuning
 from adaptrack.drive.failure import Failure
-from adaptrack.tuning.config import Pair
+from adaptrack.paper.campaign_config import Pair
 
 Array = NDArray[np.float64]
 

@@ -35,11 +35,11 @@ from adaptrack.learning.adaptation.improve import Learnable, Surfaces, improve
 from adaptrack.learning.adaptation.landscape import OUTPUTS
 from adaptrack.learning.adaptation.method import Constants, Method
 from adaptrack.learning.adaptation.splits import SetUp, Training, constants_noise, held_out_runs, training_runs
-from adaptrack.learning.surfaces import FuzzySurface, NetworkSurface
-from adaptrack.learning.training import Trained, train
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.operating_points import NAMES
+from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
+from adaptrack.paper.training import Trained, train
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.operating_points import NAMES
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise
 from adaptrack.tuning.runs import Indices, RunSet
 

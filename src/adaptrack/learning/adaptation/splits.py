@@ -18,9 +18,9 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control.controllers import MPC
 from adaptrack.learning.adaptation.config import AdaptationConfig, Evaluation, campaign_of
 from adaptrack.learning.adaptation.method import Method
-from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol
-from adaptrack.tuning.evaluator import tuned_mpc
-from adaptrack.tuning.operating_points import sobol
+from adaptrack.paper.campaign_config import Box, CampaignConfig, Plan, Sobol
+from adaptrack.paper.evaluator import tuned_mpc
+from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.runs import RunSet, operating_point_runs, random_drive_runs
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
 from adaptrack.control.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
-from adaptrack.learning.anfis import ANFIS
+from adaptrack.paper.anfis import ANFIS
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")
 _RULE = re.compile(r"([-\d\s]+),([-\d\s]+)\(([^()]*)\)\s*:\s*(\d+)\s*")

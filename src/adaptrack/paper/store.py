@@ -28,7 +28,7 @@ from adaptrack.base.files import (
     write_atomically,
     write_json,
 )
-from adaptrack.tuning import operating_points
+from adaptrack.paper import operating_points
 
 Columns = dict[str, NDArray[Any]]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.core.library import kernels_hash
+from adaptrack.paper.campaign_config import Setup
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.config import Setup
 from adaptrack.tuning.objective import Objective
 
 Array = NDArray[np.float64]

@@ -38,12 +38,12 @@ from adaptrack.drive.metrics import PUBLISHED, compute_metrics, published_mse
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.learning.adaptation.recipes import search_bounds, trained_schedule
-from adaptrack.learning.training import train
+from adaptrack.paper.data_set import DataSet, load_dataset
+from adaptrack.paper.operating_points import NAMES
+from adaptrack.paper.training import train
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.studies.knowing import SEEDS, compare_knowing, knowing_controllers
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
-from adaptrack.tuning.dataset import DataSet, load_dataset
-from adaptrack.tuning.operating_points import NAMES
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -20,11 +20,11 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
-from adaptrack.learning.anfis import ANFIS
 from adaptrack.learning.boosting import cross_validate
-from adaptrack.learning.mlp import MLP
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.operating_points import NAMES, canonical, fold
+from adaptrack.paper.anfis import ANFIS
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.mlp import MLP
+from adaptrack.paper.operating_points import NAMES, canonical, fold
 
 Array = NDArray[np.float64]
 

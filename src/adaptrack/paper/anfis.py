@@ -35,9 +35,9 @@ from adaptrack.control.scheduling.functions.sugeno import (
     bell_exponent,
     distance,
 )
-from adaptrack.learning import partition as partitions
-from adaptrack.learning.holding import held_out
-from adaptrack.learning.weights import mean, part, row_weights
+from adaptrack.paper import partition as partitions
+from adaptrack.paper.validation import held_out
+from adaptrack.paper.weights import mean, part, row_weights
 
 Array = NDArray[np.float64]
 

@@ -28,9 +28,10 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fi
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.control.controllers import Tuning
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, Failure
+from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
-from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
-from adaptrack.tuning.pso import SearchSpace, SwarmSettings
+from adaptrack.tuning.pso import SwarmSettings
+from adaptrack.tuning.spaces import Pair, Search, as_tuples
 
 Array = NDArray[np.float64]
 
@@ -43,12 +44,7 @@ STANDARD = tuple(Tuning().as_array().tolist())
 _DATA = SHIPPED / "campaigns"
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(each) for each in value) if isinstance(value, list | tuple) else value
-
-
-Pair = Annotated[tuple[float, float], BeforeValidator(_tuples)]
-Levels = Annotated[tuple[float, ...], BeforeValidator(_tuples), Field(min_length=1)]
+Levels = Annotated[tuple[float, ...], BeforeValidator(as_tuples), Field(min_length=1)]
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 
 
@@ -113,58 +109,12 @@ OperatingPoints = Annotated[PaperGrid | Grid | Sobol, Field(discriminator="kind"
 
 
 # -- tunings ----------------------------------------------------------------------------------------------------------
-class Search(Record):
-    """Bounds of the tunings; the defaults are those of the authors' programs. Horizons are whole, and Nc <= Np."""
-
-    Np: Annotated[tuple[int, int], BeforeValidator(_tuples)] = Field(default=(1, 55), description="control periods")
-    Nc: Annotated[tuple[int, int], BeforeValidator(_tuples)] = Field(default=(1, 18), description="control periods")
-    Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
-    R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
-    decades: bool = Field(default=False, description="search Q and R by decades; wide bounds ask for it")
-
-    @model_validator(mode="after")
-    def _holds_a_tuning(self) -> Self:
-        for name in ("Np", "Nc", "Q", "R"):
-            low, high = getattr(self, name)
-            if not low <= high:
-                raise ValueError(f"{name} = [{low:g}, {high:g}] is empty: need low <= high.")
-            if not (low >= 1 if name in ("Np", "Nc") else low > 0):
-                raise ValueError(f"{name} = [{low:g}, {high:g}]: must be {'>= 1' if name in ('Np', 'Nc') else '> 0'}.")
-        if self.Nc[0] > self.Np[0]:
-            raise ValueError(
-                f"Nc from {self.Nc[0]} and Np from {self.Np[0]}: Nc <= Np cannot hold at the lower bounds; "
-                "raise that of Np or lower that of Nc."
-            )
-        if self.Np[1] > 500 or self.Nc[1] > 100:
-            raise ValueError(f"Np up to {self.Np[1]}, Nc up to {self.Nc[1]}: must not exceed 500 and 100.")
-        return self
-
-    @classmethod
-    def around(cls, constant: Tuning) -> Self:
-        """Six decades of R/Q around a constant tuning, and its horizons; Q is 1: only R/Q changes the control law."""
-        ratio, Np, Nc = constant.R / constant.Q, max(60, constant.Np), max(18, constant.Nc)
-        return cls(Np=(5, Np), Nc=(1, Nc), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
-
-    def space(self) -> SearchSpace:
-        """The same for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
-        bounds = [tuple(float(each) for each in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
-        return SearchSpace(
-            names=("Np", "Nc", "Q", "R"),
-            low=tuple(low for low, _ in bounds),
-            high=tuple(high for _, high in bounds),
-            whole=("Np", "Nc"),
-            decades=("Q", "R") if self.decades else (),
-            ordered=("Nc", "Np"),
-            spread=2.0,
-        )
-
-
 class TuningLibrary(Record):
     """The common library: tunings whose cost is found at every operating point (the landscape)."""
 
     size: int = Field(default=200, ge=1, le=10_000, description="how many tunings, the standard one included")
     seed: Seed = Field(default=0, description="of the scrambled Sobol sequence")
-    tunings: Annotated[tuple[tuple[float, float, float, float], ...], BeforeValidator(_tuples)] = Field(
+    tunings: Annotated[tuple[tuple[float, float, float, float], ...], BeforeValidator(as_tuples)] = Field(
         default=(), description="rows of Np, Nc, Q, R: this library, instead of one of the given size"
     )
 
@@ -227,7 +177,7 @@ class CampaignConfig(Record):
     plant: str = Field(
         default="dual-track", min_length=1, description="what is driven: single-track, dual-track, or a registered one"
     )
-    plugin: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+    plugin: Annotated[tuple[str, ...], BeforeValidator(as_tuples)] = Field(
         default=(), description="Python modules that are imported first, here and by workers: they register plants"
     )
     tyre: str | None = Field(default=None, description="name, or .toml file beside this one; by default the vehicle's")
@@ -241,7 +191,7 @@ class CampaignConfig(Record):
     move_weight: float | None = Field(
         default=None, ge=0, le=1e6, description="m^2/rad^2, weight of steering activity; by default the profile's"
     )
-    noise_seeds: Annotated[tuple[Seed, ...], BeforeValidator(_tuples)] | None = Field(
+    noise_seeds: Annotated[tuple[Seed, ...], BeforeValidator(as_tuples)] | None = Field(
         default=None, description="each cost is the mean over these; by default [0], with sensor noise [0, 1, 2, 3]"
     )
     seed: Seed = Field(default=0, description="of the swarms")

@@ -15,8 +15,8 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, Damaged, read_bytes, safe_name, write_atomically
 from adaptrack.base.shown import figure_of, html_of
-from adaptrack.tuning.operating_points import NAMES, check_operating_points, fold
-from adaptrack.tuning.store import COLUMNS, DATA_SET, Columns, decode, encode, unfinished
+from adaptrack.paper.operating_points import NAMES, check_operating_points, fold
+from adaptrack.paper.store import COLUMNS, DATA_SET, Columns, decode, encode, unfinished
 
 Array = NDArray[Any]
 

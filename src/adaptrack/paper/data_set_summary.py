@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.tuning.dataset.data import DataSet
-from adaptrack.tuning.operating_points import COLUMNS
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.operating_points import COLUMNS
 
 Array = NDArray[np.float64]
 
