@@ -83,16 +83,6 @@ def dataset_result(dataset: DataSet) -> Result:
     """A data set as a result; its record is the summary of `data_set_summary.describe`."""
     summary = describe(dataset)
     gain = summary["costs"]["standard_over_best_geomean"]
-    searched = dataset.rows(dataset.computed)
-    rows = searched.rows(np.isfinite(searched.costs))
-    pictures = [
-        Picture("gain", "Cost of the standard tuning over the swarm's best, by speed: median and quartiles.",
-                [gain_panel(rows)], file="gain.png"),
-        Picture("optimum", "The best tuning over the operating points: each cell is a median.",
-                optimum_maps(rows), file="optimum.png", columns=3),
-        Picture("targets", "How often each value is the best. Dashed: the standard tuning.",
-                [histogram(target) for target in targets(rows)], file="targets.png", columns=3),
-    ] if rows.comparable.any() else []  # fmt: skip
     return Result(
         kind="dataset",
         title=f"Data set {dataset.name}",
@@ -100,10 +90,31 @@ def dataset_result(dataset: DataSet) -> Result:
         f"{'unknown' if gain is None else number(gain)} (geometric mean of the costs).",
         record=summary,
         tables=_tables(summary),
-        pictures=pictures,
+        pictures=_pictures(dataset),
         notes=["Only R/Q changes the control law: Q and R alone are where a swarm stopped along a line of equal cost."],
         command=dataset.command,
     )  # fmt: skip
+
+
+def _pictures(dataset: DataSet) -> list[Picture]:
+    """Gain, optimum and its spread; none where every run failed."""
+    rows = _searched(dataset)
+    if rows is None:
+        return []
+    return [
+        Picture("gain", "Cost of the standard tuning over the swarm's best, by speed: median and quartiles.",
+                [gain_panel(rows)], file="gain.png"),
+        Picture("optimum", "The best tuning over the operating points: each cell is a median.",
+                optimum_maps(rows), file="optimum.png", columns=3),
+        Picture("targets", "How often each value is the best. Dashed: the standard tuning.",
+                [histogram(target) for target in targets(rows)], file="targets.png", columns=3),
+    ]  # fmt: skip
+
+
+def _searched(dataset: DataSet) -> DataSet | None:
+    """The rows that a swarm searched and whose costs can be compared; None without any."""
+    chosen = dataset.computed & dataset.comparable
+    return dataset.rows(chosen) if chosen.any() else None
 
 
 def dataset_figure(dataset: DataSet) -> Figure:
@@ -116,9 +127,8 @@ def dataset_figure(dataset: DataSet) -> Figure:
     """
     from adaptrack.results.draw import print_figure
 
-    searched = dataset.rows(dataset.computed)
-    rows = searched.rows(np.isfinite(searched.costs))
-    if not rows.comparable.any():
+    rows = _searched(dataset)
+    if rows is None:
         raise InvalidInput(f"data set {dataset.name!r}: every run failed, so there is nothing to draw.")
     panels = [*(histogram(target) for target in targets(rows)), gain_panel(rows)]
     return print_figure(Picture("dataset", "", panels, row_height=2.1))
@@ -134,7 +144,7 @@ def dataset_html(dataset: DataSet) -> str:
                    strict=True)),
         "Failed with every tuning": number(int(np.isinf(searched.best_costs).sum())),
     }  # fmt: skip
-    figure = dataset_figure(dataset) if searched.comparable.any() else None
+    figure = None if _searched(dataset) is None else dataset_figure(dataset)
     return html(f"Data set {dataset.name}", rows, figure, "The best tunings, and the gain over the standard tuning")
 
 
@@ -196,8 +206,7 @@ def histogram(target: Target) -> Panel:
 
 def gain_panel(rows: DataSet) -> Panel:
     """Cost of the standard tuning over the cost of the swarm's best, by speed."""
-    speed = rows.operating_points[rows.comparable, 0]
-    gain = rows.standard_costs[rows.comparable] / rows.costs[rows.comparable]
+    speed, gain = rows.operating_points[:, 0], rows.standard_costs / rows.costs
     bins = _bin_numbers(speed, _bin_edges(speed))
     by_bin = [bins == number for number in np.unique(bins)]
     middles = [float(np.median(speed[members])) for members in by_bin]
