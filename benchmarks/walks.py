@@ -191,7 +191,7 @@ def row(folder: Path) -> Any:
     import adaptrack as at
 
     try:
-        from adaptrack.learning.adaptation.recipes import trained_schedule
+        from adaptrack.paper.schedules import trained_schedule
     except ImportError:  # before the rooms
         from adaptrack.adaptation.recipes import trained_schedule
     (folder / "small.toml").write_text(CAMPAIGN)

@@ -197,8 +197,6 @@ _PUBLIC = {
         "get_contender",
         "list_contenders",
     ),
-    "learning.adaptation.config": ("load_adaptation",),
-    "studies.adapt": ("adapt",),
     "studies.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
     "export.fmu": ("export_fmu",),
@@ -319,7 +317,6 @@ if TYPE_CHECKING:
     from adaptrack.export.fmu import export_fmu
     from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
-    from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.paper.campaign import run_campaign
     from adaptrack.paper.campaign_config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
@@ -328,7 +325,6 @@ if TYPE_CHECKING:
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scenario.profile import Profile, list_profiles, load_profile
-    from adaptrack.studies.adapt import adapt
     from adaptrack.studies.shadow import Shadow, shadow
     from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
     from adaptrack.tuning.objective import Objective
@@ -422,7 +418,6 @@ __all__ = [
     "UserPlant",
     "Vehicle",
     "__version__",
-    "adapt",
     "check_controller",
     "check_estimator",
     "check_model",
@@ -456,7 +451,6 @@ __all__ = [
     "list_schedulers",
     "list_tyres",
     "list_vehicles",
-    "load_adaptation",
     "load_campaign",
     "load_dataset",
     "load_learned_car",

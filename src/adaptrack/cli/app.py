@@ -9,7 +9,6 @@ import typer
 from adaptrack import __version__
 from adaptrack.cli import (
     adapt,
-    adaptation,
     campaign,
     car,
     certify,
@@ -18,13 +17,13 @@ from adaptrack.cli import (
     dataset,
     drive,
     evaluate,
-    evaluate_schedules,
     export,
     export_fmu,
     export_page,
     identify,
     lists,
     manoeuvre,
+    paper,
     reproduce,
     road,
     shadow,
@@ -79,10 +78,8 @@ for command in (
     train.train,
     reproduce.reproduce,
     adapt.adapt,
-    adaptation.adaptation,
     certify.certify,
     evaluate.evaluate,
-    evaluate_schedules.evaluate_schedules,
     compare.compare,
     lists.schedulers,
 ):
@@ -92,3 +89,4 @@ export.app.command("fmu")(export_fmu.export_fmu)
 export.app.command("page")(export_page.export_page)
 app.add_typer(export.app, name="export")
 app.add_typer(road.app, name="road")
+app.add_typer(paper.app, name="paper")

@@ -47,8 +47,8 @@ def train(given: TrainOptions) -> None:
     It is judged on operating points held out, beside boosted trees.
     """
     from adaptrack.control.scheduling import check_scheduler
-    from adaptrack.learning.adaptation.recipes import purpose_of, trained_schedule
     from adaptrack.paper.data_set import load_dataset
+    from adaptrack.paper.schedules import purpose_of, trained_schedule
     from adaptrack.paper.training import train as learn
     from adaptrack.results.answers import behind_trees, of_training
 

@@ -37,9 +37,9 @@ from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PUBLISHED, compute_metrics, published_mse
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.learning.adaptation.recipes import search_bounds, trained_schedule
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.operating_points import NAMES
+from adaptrack.paper.schedules import search_bounds, trained_schedule
 from adaptrack.paper.training import train
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.studies.knowing import SEEDS, compare_knowing, knowing_controllers
