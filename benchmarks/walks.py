@@ -188,11 +188,10 @@ def road(folder: Path) -> Any:
 
 def row(folder: Path) -> Any:
     """From the settings of a small campaign to a schedule."""
-    import adaptrack as at
 
     try:
         from adaptrack import paper
-        from adaptrack.paper.training import trained_schedule
+        from adaptrack.paper.schedules import trained_schedule
     except ImportError:  # before the rooms
         from adaptrack.adaptation.recipes import trained_schedule
     (folder / "small.toml").write_text(CAMPAIGN)

@@ -185,8 +185,6 @@ _PUBLIC = {
         "get_contender",
         "list_contenders",
     ),
-    "learning.adaptation.config": ("load_adaptation",),
-    "studies.adapt": ("adapt",),
     "studies.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
     "export.fmu": ("export_fmu",),
@@ -307,12 +305,10 @@ if TYPE_CHECKING:
     from adaptrack.export.fmu import export_fmu
     from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
-    from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scenario.profile import Profile, list_profiles, load_profile
-    from adaptrack.studies.adapt import adapt
     from adaptrack.studies.shadow import Shadow, shadow
     from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
     from adaptrack.tuning.objective import Objective
@@ -404,7 +400,6 @@ __all__ = [
     "UserPlant",
     "Vehicle",
     "__version__",
-    "adapt",
     "check_controller",
     "check_estimator",
     "check_model",
@@ -436,7 +431,6 @@ __all__ = [
     "list_schedulers",
     "list_tyres",
     "list_vehicles",
-    "load_adaptation",
     "load_learned_car",
     "load_profile",
     "load_road",

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import typer
 
-from adaptrack.cli import adaptation, campaign, evaluate_schedules, reproduce, train
+from adaptrack.cli import campaign, paper_adapt, paper_evaluate, reproduce, train
 
 app = typer.Typer(
     help="The paper's experiment: reproduce it, or repeat it on your own car.", no_args_is_help=True,
     rich_markup_mode=None,
 )  # fmt: skip
-
-for name, command in {
-    "reproduce": reproduce.reproduce,
-    "campaign": campaign.campaign,
-    "train": train.train,
-    "adapt": adaptation.adaptation,
-    "evaluate": evaluate_schedules.evaluate_schedules,
-}.items():
-    app.command(name)(command)
+for command in (
+    reproduce.reproduce, campaign.campaign, train.train, paper_adapt.adapt, paper_evaluate.evaluate,
+):  # fmt: skip
+    app.command()(command)

@@ -60,7 +60,7 @@ def tune(given: TuneOptions) -> None:
         raise InvalidInput(
             f"tune --config: a campaign has its own command: adaptrack paper campaign {given.config} --out DIR."
         )
-    roads = on_roads.named("tune", given.road, "to tune an MPC on operating points: adaptrack paper campaign NAME --out DIR")
+    roads = on_roads.named("tune", given.road, "for operating points: adaptrack paper campaign NAME --out DIR")
     options.make_place(given.out)
     setting = on_roads.RoadSetting.of(roads, given.route, given.car, given.profile, given.as_json)
     _tune(given, setting, _tunable(setting, given.controller))

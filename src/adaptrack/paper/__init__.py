@@ -1,7 +1,9 @@
 """The paper's experiment, sections III to V in the paper's order; docs/notation.md lists its symbols.
 
 * `operating_points`, `campaign_config`, `campaign`, `data_set`: particle swarms tune the MPC at operating points.
-* `mlp`, `anfis` with `partition`, `fis`, `training`: neural network and neuro-fuzzy models learn the tuning.
+* `mlp`, `anfis` with `partition`, `fis`, `training`, `schedules`: networks and neuro-fuzzy models learn the tuning.
+* `learning_task`, `landscape`, `surfaces`, `improvement`, `adaptation`: schedules learn on the closed loop.
+* `evaluation`: these schedules, the best constant and the optimum of each operating point.
 * `reproduce`: both tests of the paper with the standard, the NN and the ANFIS controller.
 
 Public names are loaded on first use: schedules run without scikit-learn.
@@ -13,11 +15,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from adaptrack.paper.adaptation import adapt
     from adaptrack.paper.anfis import ANFIS
     from adaptrack.paper.campaign import run_campaign
     from adaptrack.paper.campaign_config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
     from adaptrack.paper.fis import read_fis, write_fis
+    from adaptrack.paper.improvement import improve
     from adaptrack.paper.mlp import MLP
     from adaptrack.paper.partition import subtractive_clustering
     from adaptrack.paper.training import TARGETS, Trained, train
@@ -29,6 +33,8 @@ _MODULES = {
     "MLP": "mlp",
     "TARGETS": "training",
     "Trained": "training",
+    "adapt": "adaptation",
+    "improve": "improvement",
     "list_campaigns": "campaign_config",
     "list_datasets": "data_set",
     "load_campaign": "campaign_config",
@@ -47,6 +53,8 @@ __all__ = [
     "CampaignConfig",
     "DataSet",
     "Trained",
+    "adapt",
+    "improve",
     "list_campaigns",
     "list_datasets",
     "load_campaign",

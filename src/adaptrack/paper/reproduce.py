@@ -36,7 +36,8 @@ from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.informed import drive_informed
 from adaptrack.paper.operating_points import NAMES
-from adaptrack.paper.training import search_bounds, train, trained_schedule
+from adaptrack.paper.schedules import search_bounds, trained_schedule
+from adaptrack.paper.training import train
 from adaptrack.scenario import Scenario, load_scenario
 
 Array = NDArray[np.float64]
