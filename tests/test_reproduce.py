@@ -15,9 +15,9 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import Constant, check_scheduler
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import PUBLISHED
-from adaptrack.paper.schedules import trained_schedule
 from adaptrack.paper import reproduce as paper
 from adaptrack.paper.reproduce import best_of_library, grid_lookup, reproduce
+from adaptrack.paper.schedules import trained_schedule
 from adaptrack.paper.training import train
 from adaptrack.results import knowing, style
 from adaptrack.results import reproduce as page

@@ -2,8 +2,8 @@
 
 * `operating_points`, `campaign_config`, `campaign`, `data_set`: particle swarms tune the MPC at operating points.
 * `mlp`, `anfis` with `partition`, `fis`, `training`: neural network and neuro-fuzzy models learn the tuning.
-* `learning_task`, `landscape`, `surfaces`, `improvement`, `adaptation`: schedules learn on the closed loop; `evaluation`
-  compares them with the best constant and the optimum of each operating point.
+* `learning_task`, `landscape`, `surfaces`, `improvement`, `adaptation`: schedules learn on the closed loop.
+* `evaluation`: they are compared with the best constant and the optimum of each operating point.
 * `reproduce`: both tests of the paper with the standard, the NN and the ANFIS controller.
 
 Public names are loaded on first use: schedules run without scikit-learn.
