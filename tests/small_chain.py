@@ -81,5 +81,5 @@ def learned(base: Path) -> Chain:
     with open(place / "lock", "w") as lock, short_cuts():
         fcntl.flock(lock, fcntl.LOCK_EX)
         file = write(place)
-        schedules = adaptation.adapt(load_campaign(file), place / "out", effort=EFFORT)
+        schedules = adaptation.adapt(load_campaign(file), place / "out", workers=1, effort=EFFORT)
         return Chain(task_of(place), file, place / "out", schedules)

@@ -192,12 +192,12 @@ def test_a_resumed_adaptation_keeps_finished_schedules_and_makes_the_others_with
     replace(other, provenance={"identity": "of another campaign"}).save(folder / "schedulers" / "fallback.json")
     monkeypatch.setattr(adaptation, "improve", lambda *given, **more: pytest.fail("it learned again"))
     with short_cuts():
-        adaptation.adapt(load_campaign(chain.file), folder, effort=EFFORT)
+        adaptation.adapt(load_campaign(chain.file), folder, workers=1, effort=EFFORT)
     assert contents(folder) == contents(chain.folder)
     half = (folder / "schedulers" / "nn.json").read_bytes()[:500]
     (folder / "schedulers" / "nn.json").write_bytes(half)
     with pytest.raises(StorageError, match=r"nn\.json.*damaged"):
-        adaptation.adapt(load_campaign(chain.file), folder, effort=EFFORT)
+        adaptation.adapt(load_campaign(chain.file), folder, workers=1, effort=EFFORT)
 
 
 @pytest.mark.parametrize(
@@ -209,9 +209,9 @@ def test_everything_that_decides_a_schedule_changes_its_identity(tmp_path, monke
     task = task_of(tmp_path)
     identities = [identity_of(task, "nn"), identity_of(task, "anfis"), identity_of(task_of(tmp_path, **changes), "nn")]
     identities.append(identity_of(replace(task, effort=EFFORT._replace(rounds=3)), "nn"))
-    software = adaptation.software()
+    software = adaptation.software(task)
     for name in software:
-        monkeypatch.setattr(adaptation, "software", lambda name=name: software | {name: "other"})
+        monkeypatch.setattr(adaptation, "software", lambda task, name=name: software | {name: "other"})
         identities.append(identity_of(task, "nn"))
     assert len(set(identities)) == len(identities)
 

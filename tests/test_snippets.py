@@ -25,12 +25,8 @@ PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("g
 LONG_COMMANDS = {
     "adapt": "20 s",
     "compare": "1 minute to hours",
-    "campaign": "5 minutes",
     "certify": "5 s, and more with several inputs",
     "check-loop": "needs a log",
-    "dataset describe paper-grid": "15 s",
-    "dataset describe road-sobol": "15 s",
-    "dataset describe campaigns": "needs a campaign that is done",
     "car my-car.toml --tir": "needs a tyre file",
     "drive country --vehicle my-car.toml": "needs a car that is identified or tuned",
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
@@ -38,10 +34,11 @@ LONG_COMMANDS = {
     "evaluate": "1 to 10 minutes",
     "identify": "needs a log",
     "paper adapt": "39 minutes",
+    "paper campaign": "5 minutes",
     "paper evaluate": "10 minutes",
-    "reproduce": "2 minutes",
+    "paper reproduce": "2 minutes",
+    "paper train": "30 s",
     "shadow": "needs a log",
-    "train": "30 s",
     "tune": "1 to 20 minutes",
 }
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""

@@ -179,19 +179,7 @@ _PUBLIC = {
         "minimise",
     ),
     "tuning.objective": ("Objective",),
-    "paper.campaign_config": (
-        "CampaignConfig",
-        "list_campaigns",
-        "load_campaign",
-    ),
-    "paper.campaign": ("run_campaign",),
     "studies.tune_car": ("TunedCar", "TuningEffort", "tune"),
-    "paper.data_set": (
-        "DataSet",
-        "list_datasets",
-        "load_dataset",
-    ),
-    "paper.training": ("train",),
     "comparison.contenders": (
         "Contender",
         "get_contender",
@@ -317,10 +305,6 @@ if TYPE_CHECKING:
     from adaptrack.export.fmu import export_fmu
     from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
-    from adaptrack.paper.campaign import run_campaign
-    from adaptrack.paper.campaign_config import CampaignConfig, list_campaigns, load_campaign
-    from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
-    from adaptrack.paper.training import train
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
@@ -340,14 +324,12 @@ __all__ = [
     "BeliefState",
     "Body",
     "CFunction",
-    "CampaignConfig",
     "CarRanges",
     "ConfigError",
     "Constant",
     "Contender",
     "ContractError",
     "Controller",
-    "DataSet",
     "Deadbeat",
     "Domain",
     "Drifts",
@@ -439,10 +421,8 @@ __all__ = [
     "get_qp_solver",
     "identify",
     "informed_tuning",
-    "list_campaigns",
     "list_contenders",
     "list_controllers",
-    "list_datasets",
     "list_estimators",
     "list_models",
     "list_plants",
@@ -451,8 +431,6 @@ __all__ = [
     "list_schedulers",
     "list_tyres",
     "list_vehicles",
-    "load_campaign",
-    "load_dataset",
     "load_learned_car",
     "load_profile",
     "load_road",
@@ -475,11 +453,9 @@ __all__ = [
     "road_through",
     "rollout",
     "rollout_batch",
-    "run_campaign",
     "save_scheduler",
     "shadow",
     "simulate",
-    "train",
     "tune",
     "tyre_from_table",
     "vehicle_from_data_sheet",

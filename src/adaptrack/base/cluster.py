@@ -1,4 +1,4 @@
-"""Clients of a Dask scheduler, whose workers can replace the local processes."""
+"""Client of a Dask scheduler, whose workers replace the local processes."""
 
 from __future__ import annotations
 
@@ -9,38 +9,41 @@ from typing import Any
 from adaptrack.base.errors import InvalidInput, MissingExtra
 
 DASK_TIMEOUT = 5.0
-"""s, how long a scheduler may take to say who it is, then to take a client, and then to have its first worker."""
+"""s, for the connection to a scheduler, and then for its first worker"""
 
-_DASK_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
+_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
 """tcp://host:port or host:port"""
 
 
 def dask_client(address: str) -> Any:
-    """A client of a Dask scheduler that has workers."""
+    """A `distributed.Client` of the scheduler at an address, once it has a worker.
+
+    Raises
+    ------
+    MissingExtra
+        When Dask is not installed.
+    InvalidInput
+        When there is no scheduler at the address, or the scheduler has no worker.
+    """
     try:
         distributed = importlib.import_module("distributed")
     except ImportError:
-        raise MissingExtra("Dask is not installed; it comes with: python -m pip install 'adaptrack[cluster]'") from None
-    form = _DASK_ADDRESS.fullmatch(address)
+        raise MissingExtra("Dask is not installed; install it: python -m pip install 'adaptrack[cluster]'") from None
+    form = _ADDRESS.fullmatch(address)
     if form is None or not 0 < int(form["port"]) < 65536:
-        raise InvalidInput(f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786.")
+        raise InvalidInput(f"cluster = {address!r}: not an address; give one like tcp://127.0.0.1:8786.")
     try:
-        # This comes first: a client waits without end for a server that is silent, and again when it is closed.
-        kind = distributed.utils.LoopRunner().run_sync(_kind_of, distributed, address, callback_timeout=DASK_TIMEOUT)
-        if kind != "Scheduler":
-            raise OSError(f"a {kind} does")
+        _check_scheduler(distributed, address)
         client = distributed.Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
-    except Exception as error:  # of what is not Dask's it makes almost any of them
-        raise InvalidInput(
-            f"dask = {address!r}: no scheduler answers there ({_reason(error)}); an address looks like "
-            "tcp://127.0.0.1:8786."
-        ) from None
+    except Exception as error:  # a server other than Dask's can cause almost any error
+        reason = str(error) or f"no answer within {DASK_TIMEOUT:g} s"
+        raise InvalidInput(f"cluster = {address!r}: no Dask scheduler answers there ({reason}).") from None
     try:
         client.wait_for_workers(1, timeout=DASK_TIMEOUT)
     except TimeoutError:
         client.close()
         raise InvalidInput(
-            f"dask = {address!r}: the scheduler has no workers; start one or more: dask worker {address}"
+            f"cluster = {address!r}: the scheduler has no workers; start one: dask worker {address}"
         ) from None
     except BaseException:
         client.close()
@@ -48,19 +51,14 @@ def dask_client(address: str) -> Any:
     return client
 
 
-async def _kind_of(distributed: Any, address: str) -> str:
-    """Who answers at an address, in Dask's word; most of the time is for the connection, whose errors say more."""
-    options = distributed.Security().get_connection_args("client")
-    server = await distributed.core.connect(address, timeout=0.8 * DASK_TIMEOUT, **options)
-    return str((await distributed.core.send_recv(server, op="identity", close=True))["type"])
+def _check_scheduler(distributed: Any, address: str) -> None:
+    """Ask a server for its type within `DASK_TIMEOUT`: a client would wait for a silent server without end."""
 
+    async def ask() -> str:
+        options = distributed.Security().get_connection_args("client")
+        server = await distributed.core.connect(address, timeout=0.8 * DASK_TIMEOUT, **options)
+        return str((await distributed.core.send_recv(server, op="identity", close=True))["type"])
 
-def _reason(error: Exception) -> str:
-    """Why there is no scheduler."""
-    if isinstance(error, TimeoutError):
-        return f"silent for {DASK_TIMEOUT:g} s"
-    return (
-        str(error)
-        if isinstance(error, ImportError | OSError | TypeError | ValueError)
-        else "what it says is not Dask's"
-    )
+    server_type = distributed.utils.LoopRunner().run_sync(ask, callback_timeout=DASK_TIMEOUT)
+    if server_type != "Scheduler":
+        raise OSError(f"the server is a {server_type}")

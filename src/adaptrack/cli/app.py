@@ -9,12 +9,10 @@ import typer
 from adaptrack import __version__
 from adaptrack.cli import (
     adapt,
-    campaign,
     car,
     certify,
     check_loop,
     compare,
-    dataset,
     drive,
     evaluate,
     export,
@@ -24,11 +22,9 @@ from adaptrack.cli import (
     lists,
     manoeuvre,
     paper,
-    reproduce,
     road,
     shadow,
     simulate,
-    train,
     tune,
 )
 
@@ -74,9 +70,6 @@ for command in (
     lists.vehicles,
     car.car,
     tune.tune,
-    campaign.campaign,
-    train.train,
-    reproduce.reproduce,
     adapt.adapt,
     certify.certify,
     evaluate.evaluate,
@@ -84,9 +77,8 @@ for command in (
     lists.schedulers,
 ):
     app.command()(command)
-app.add_typer(dataset.app, name="dataset")
+app.add_typer(paper.app, name="paper")
 export.app.command("fmu")(export_fmu.export_fmu)
 export.app.command("page")(export_page.export_page)
 app.add_typer(export.app, name="export")
 app.add_typer(road.app, name="road")
-app.add_typer(paper.app, name="paper")

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from adaptrack import __version__
 from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import loop_map
 from adaptrack.base.checked import checked
@@ -36,8 +35,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
-from adaptrack.core.library import kernels_hash
-from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign, software_versions
 from adaptrack.paper.campaign_config import CampaignConfig
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import Learnable, Surfaces, Training, improve
@@ -155,7 +153,7 @@ def read_schedules(folder: str | os.PathLike[str]) -> dict[str, Schedule]:
 def identity_of(task: LearningTask, contender: str) -> str:
     """SHA-256 of everything on which a schedule depends: its campaign, the effort, the method and the software."""
     method = [(Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8") for name in METHOD]
-    settings = [contender, task.plan.identity, task.effort, method, software()]
+    settings = [contender, task.plan.identity, task.effort, method, software(task)]
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
 
 
@@ -163,12 +161,9 @@ METHOD = ("adaptation", "improvement", "landscape", "learning_task", "surfaces")
 """Files of this room that hold the method with its constants."""
 
 
-def software() -> dict[str, str]:
+def software(task: LearningTask) -> dict[str, str]:
     """Versions of the software on which the numbers depend."""
-    return {
-        "adaptrack": __version__, "kernels": kernels_hash(), "numpy": version("numpy"),
-        "scikit-learn": version("scikit-learn"),
-    }  # fmt: skip
+    return software_versions(task.plan.setup) | {"scikit-learn": version("scikit-learn")}
 
 
 def _load_schedule(file: Path, identity: str) -> Schedule | None:
@@ -188,7 +183,7 @@ def _save_schedule(schedule: Schedule, file: Path, task: LearningTask, identity:
     purpose = made_for(task.mpc, task.profile)
     purpose |= {"plant": f"{task.plan.config.plant}{twin}", "tyre": task.plant.tyre_name}
     record = {"identity": identity, "campaign": task.plan.identity, "effort": task.effort._asdict()}
-    provenance = {**schedule.provenance, **record, "software": software()}
+    provenance = {**schedule.provenance, **record, "software": software(task)}
     replace(schedule, provenance=provenance, made_for=purpose).save(file)
 
 
@@ -217,13 +212,7 @@ class Makers:
     @cached_property
     def dataset(self) -> DataSet:
         """The data set of the campaign."""
-        resume = self.folder.exists()
-        show = self.show
-        file = run_campaign(
-            self.task.plan.config, self.folder, resume=resume, workers=self.workers,
-            progress=lambda state: show("campaign", state.done, state.total),
-        )  # fmt: skip
-        return load_dataset(file)
+        return load_dataset(run_campaign(self.task.plan.config, self.folder, workers=self.workers, progress=self.show))
 
     @cached_property
     def training(self) -> Training:

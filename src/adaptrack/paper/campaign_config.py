@@ -404,7 +404,6 @@ class Plan:
         driven = self.setup.searched_on
         if not isinstance(driven, SingleTrack | DualTrack):
             values["plant_fingerprint"] = fingerprint(driven)
-        values["controller"] = "as-written"  # part of the identity of every data set that exists
         unused = {"description", "tyre", "body", "domain", "estimated", "steering", "known_within"}
         values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude=unused)
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})

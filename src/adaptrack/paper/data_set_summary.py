@@ -1,4 +1,4 @@
-"""What is in a data set: its ranges, its optimum, what they cost, and how flat it is."""
+"""Summary of a data set: ranges, optimum, costs, and how flat the optimum is."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from adaptrack.paper.operating_points import COLUMNS
 Array = NDArray[np.float64]
 
 TARGETS = ("Np", "Nc", "log Q", "log R", "log R/Q")
-"""What is learnt from a data set, of the best tuning found at each operating point."""
-
+"""Parts of the best tuning; logarithms are natural."""
+NEAR_BEST = (0.05, 0.2)
+"""Tunings whose cost is at most this share above the best count as near it."""
 SETTINGS = ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
-"""What a description repeats of the campaign."""
-LEARNER = "gradient-boosted trees (scikit-learn), 5-fold cross-validation"
-"""What R^2 is of, see `learning.boosting`."""
+"""Settings of the campaign that the summary repeats."""
 
 
-def targets(dataset: DataSet) -> dict[str, Array]:
-    """(n,) of each of `TARGETS`; logarithms are natural."""
+def best_tunings(dataset: DataSet) -> dict[str, Array]:
+    """(n,) of each of `TARGETS`."""
     Np, Nc, Q, R = dataset.tunings.T
     return dict(zip(TARGETS, (Np, Nc, np.log(Q), np.log(R), np.log(R / Q)), strict=True))
 
@@ -31,26 +30,21 @@ def targets(dataset: DataSet) -> dict[str, Array]:
 def flatness(dataset: DataSet, within: float) -> Array:
     """(m,) share of the library whose cost is at most (1 + within) times the lowest known, at each operating point.
 
-    Operating points count that a swarm searched and where some tuning kept the car.
+    Only operating points that a swarm searched and where some tuning did not fail.
     """
     best = dataset.best_costs
     rows = dataset.computed & np.isfinite(best)
     return (dataset.landscape[rows] <= ((1.0 + within) * best[rows])[:, np.newaxis]).mean(axis=1)
 
 
-def describe(dataset: DataSet, r2: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """What is in a data set, as plain JSON: tables are lists of rows.
+def describe(dataset: DataSet) -> dict[str, Any]:
+    """The summary of a data set as plain JSON: tables are lists of rows.
 
-    r2: how much of each target the operating points explain, see `learning.boosting.explained_shares`; unknown when
-    left out. Statistics are over the operating points that a swarm searched; their left-right twins would count twice.
+    Statistics are over the operating points that a swarm searched; left-right twins would count twice.
     """
     rows = dataset.rows(dataset.computed)
     settings = dataset.provenance.get("settings", {})
-    kept = np.isfinite(rows.costs) & np.isfinite(rows.standard_costs) & (rows.standard_costs > 0.0) & (rows.costs > 0.0)
-    gain = rows.standard_costs[kept] / rows.costs[kept]
-    known = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
-    behind = rows.costs[known] / rows.best_costs[known] - 1.0
-    bounds = _bounds(settings.get("search"))
+    bounds = _search_bounds(settings.get("search"))
     return {
         "name": dataset.name,
         "operating_points": len(dataset),
@@ -75,29 +69,32 @@ def describe(dataset: DataSet, r2: Mapping[str, float] | None = None) -> dict[st
             for column, values in zip(COLUMNS, dataset.operating_points.T, strict=True)
         ],
         "optimum": [
-            {
-                "target": name,
-                **_spread(values),
-                "at_a_bound": _at_bounds(values, bounds.get(name)),
-                "r2": (r2 or {}).get(name),
-            }
-            for name, values in targets(rows).items()
+            {"target": name, **_quantiles(values), "at_a_bound": _share_at_bounds(values, bounds.get(name))}
+            for name, values in best_tunings(rows).items()
         ],
-        "learner": LEARNER,
         "flatness": [
-            {"within": within, "mean": _finite(share.mean() if share.size else np.nan), **_spread(share)}
-            for within in (0.05, 0.2)
+            {"within": within, "mean": _finite(share.mean() if share.size else np.nan), **_quantiles(share)}
+            for within in NEAR_BEST
             for share in (flatness(dataset, within),)
         ],
-        "costs": {
-            "standard_over_best_geomean": _finite(np.exp(np.log(gain).mean()) if gain.size else np.nan),
-            "swarm_behind_the_best_known_p50": _quantile(behind, 0.5),
-            "swarm_behind_the_best_known_p90": _quantile(behind, 0.9),
-            "failed_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
-            "failed_by_the_swarm": int(np.isinf(rows.costs).sum()),
-            "failed_by_all": int(np.isinf(rows.best_costs).sum()),
-            "library_failed": float(np.isinf(rows.landscape).mean()) if rows.landscape.size else 0.0,
-        },
+        "costs": _costs(rows),
+    }
+
+
+def _costs(rows: DataSet) -> dict[str, float | int | None]:
+    """What the standard tuning, the swarm's best and the library cost against each other, and how many failed."""
+    comparable = rows.comparable
+    gain = rows.standard_costs[comparable] / rows.costs[comparable]
+    positive = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
+    excess = rows.costs[positive] / rows.best_costs[positive] - 1.0
+    return {
+        "standard_over_best_geomean": _finite(np.exp(np.log(gain).mean()) if gain.size else np.nan),
+        "swarm_behind_the_best_known_p50": _quantile(excess, 0.5),
+        "swarm_behind_the_best_known_p90": _quantile(excess, 0.9),
+        "failed_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
+        "failed_by_the_swarm": int(np.isinf(rows.costs).sum()),
+        "failed_by_all": int(np.isinf(rows.best_costs).sum()),
+        "library_failed": float(np.isinf(rows.landscape).mean()) if rows.landscape.size else 0.0,
     }
 
 
@@ -105,11 +102,9 @@ def _name(entry: Any) -> Any:
     return entry.get("name") if isinstance(entry, dict) else entry
 
 
-def _spread(values: Array) -> dict[str, float | None]:
-    return {
-        key: _quantile(values, level)
-        for key, level in (("lowest", 0.0), ("p10", 0.1), ("p50", 0.5), ("p90", 0.9), ("highest", 1.0))
-    }
+def _quantiles(values: Array) -> dict[str, float | None]:
+    levels = {"lowest": 0.0, "p10": 0.1, "p50": 0.5, "p90": 0.9, "highest": 1.0}
+    return {name: _quantile(values, level) for name, level in levels.items()}
 
 
 def _quantile(values: Array, level: float) -> float | None:
@@ -117,8 +112,8 @@ def _quantile(values: Array, level: float) -> float | None:
     return float(np.quantile(finite, level)) if finite.size else None
 
 
-def _bounds(search: dict[str, Any] | None) -> dict[str, tuple[float, float]]:
-    """The lowest and the highest value of each target that the swarm may find."""
+def _search_bounds(search: Mapping[str, Any] | None) -> dict[str, tuple[float, float]]:
+    """The lowest and the highest value of each target in the search."""
     if search is None:
         return {}
     (q_low, q_high), (r_low, r_high) = np.log(search["Q"]), np.log(search["R"])
@@ -126,8 +121,7 @@ def _bounds(search: dict[str, Any] | None) -> dict[str, tuple[float, float]]:
     return {name: (float(low), float(high)) for name, (low, high) in zip(TARGETS, pairs, strict=True)}
 
 
-def _at_bounds(values: Array, bounds: tuple[float, float] | None) -> float | None:
-    """Share of the values that lie at a bound of the search."""
+def _share_at_bounds(values: Array, bounds: tuple[float, float] | None) -> float | None:
     if bounds is None:
         return None
     return float(((values <= bounds[0] + 1e-9) | (values >= bounds[1] - 1e-9)).mean())

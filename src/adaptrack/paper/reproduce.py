@@ -1,33 +1,29 @@
-"""The paper's section V run again: its controllers and the comparators that it left out, on both of its tests.
+"""The experiment of the paper's section V: its controllers and further comparators on both of its tests.
 
 Two configurations answer two questions. `released` is what the authors published: a single track with the tyre of
 constant stiffness, Laguerre moves with the pole 0.95 for the standard MPC and 0.75 for the adaptive ones, and their
 clamps on what the learned functions say. `same-moves` is what the paper describes: the dual track on the Magic Formula
 tyre and the moves of eq. (10) for everybody, so that the controllers differ in their tuning only.
 
-The ablation then tells the pole's part of the gain from adaptation's, and `knowing` puts a controller that knows its
-car beside both.
+The ablation separates the pole's part of the gain from adaptation's; `informed` adds an MPC with a model of its
+steering.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import itertools
-import json
 import math
-import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
@@ -38,12 +34,11 @@ from adaptrack.drive.metrics import PUBLISHED, compute_metrics, published_mse
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet, load_dataset
+from adaptrack.paper.informed import drive_informed
 from adaptrack.paper.operating_points import NAMES
 from adaptrack.paper.schedules import search_bounds, trained_schedule
 from adaptrack.paper.training import train
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.studies.knowing import SEEDS, compare_knowing, knowing_controllers
-from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -68,12 +63,14 @@ CLAMPS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 }
 """Bounds that the authors' programs put on the outputs of each model; infinite where they put none."""
 
+STAGES = (
+    "training nn", "training anfis", "driving both configurations", "splitting the gain",
+    "driving the informed controller", "timing steps",
+)  # fmt: skip
+
 QUICK: Mapping[str, Mapping[str, Any]] = {"nn": {"epochs": 100}, "anfis": {"epochs": 5}}
 QUICK_ROWS = 1500
 """A quick run trains for fewer epochs, and on fewer operating points."""
-
-_METHOD = repr((TABLE, SLOW, FAST, PULSES, CLAMPS, QUICK, QUICK_ROWS))
-"""What every stage depends on beside the data and the software."""
 
 
 @dataclass(frozen=True)
@@ -142,9 +139,9 @@ class Reproduction:
     """scenario, changed, table, constant (its value there), mse: the paper's table with one
     number of the best constant, where all have the same moves"""
     knowing: list[Row]
-    """what knowing the car brings, see `studies.knowing.compare_knowing`"""
+    """the informed MPC beside the paper's controllers, see `informed.drive_informed`"""
     learning: list[Row]
-    """a learned function each: see `learning.training.Trained.quality`"""
+    """a learned function each: see `training.Trained.quality`"""
     domain: list[Row]
     """scenario, then the share of the steps at which each input is outside the domain of the data"""
     constant: BestConstant
@@ -216,162 +213,98 @@ def grid_lookup(dataset: DataSet) -> Schedule:
 
 
 # -- the experiment ---------------------------------------------------------------------------------------------------
+@tells("reproduce")
 def reproduce(
-    dataset: DataSet | None = None, *, quick: bool = False, seed: int = 0,
-    folder: str | os.PathLike[str] | None = None, progress: Progress | None = None,
-) -> Reproduction:  # fmt: skip
-    """Train both models on a data set, drive both tests with every controller, take the gain apart.
+    dataset: DataSet | None = None, *, quick: bool = False, seed: int = 0, progress: ProgressCall | None = None
+) -> Reproduction:
+    """Train both models on a data set, drive both tests with every controller, split the gain into its parts.
 
     dataset: by default `paper-grid`; its operating points must fill a grid; quick: train less, see `QUICK`; seed: of
-    the hold-out and of the models; folder: where the results of the stages are kept and found again, by default
-    nowhere; progress: called with what is being done, and how many steps of how many are.
+    the hold-out and of the models; progress: called with the stage, the stages done and the number of stages.
 
     Raises
     ------
     InvalidInput
         When the data set does not fit, see `grid_lookup` and `search_bounds`.
-    StorageError
-        When the folder cannot be written, or holds something damaged.
     """
     begun = time.perf_counter()
     dataset = load_dataset("paper-grid") if dataset is None else dataset
     search_bounds(dataset)
     constant, table = best_of_library(dataset), grid_lookup(dataset)
-    source = dataset
-    if quick and len(dataset) > QUICK_ROWS:
-        source = dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
-    stages = _Stages(dataset, source, constant, table, quick, seed, None if folder is None else Path(folder))
-    made = run(stages.all(), _counted(progress, len(stages.all())))
-    learned = {model: made[f"training {model}"] for model in LEARNED}
+    source = learning_rows(dataset, seed) if quick else dataset
+    enter = partial(_enter, progress)
+    free, learning = {}, []
+    for stage, model in enumerate(LEARNED):
+        enter(stage)
+        trained = train(source, model, "paper", seed=seed, **(QUICK[model] if quick else {}))
+        free[model] = trained_schedule(trained, dataset)
+        learning += trained.quality
+    training_seconds = time.perf_counter() - begun
+    clamped = {model: _within(schedule, CLAMPS[model]) for model, schedule in free.items()}
+    scenarios = [load_scenario(name) for name in TESTS]
+    released, same = configurations(constant.tuning, table, clamped, free)
+    enter(2)
+    rows = drive_all((released, same), scenarios)
+    enter(3)
+    parts = ablation(released.plant, scenarios, constant.tuning, clamped, dataset.library)
+    swapped = swaps(same.plant, scenarios, constant.tuning)
+    enter(4)
+    informed = drive_informed(TESTS, clamped, FAST)
+    enter(5)
+    runs = timed_runs(released, scenarios)
     return Reproduction(
-        rows=made["driving both configurations"],
-        ablation=made["taking the gain apart"],
-        shares=shares(made["taking the gain apart"]),
-        swaps=made["swapping numbers"],
-        knowing=made["knowing the car"],
-        learning=[row for each in learned.values() for row in each.provenance["quality"]],
+        rows=rows,
+        ablation=parts,
+        shares=shares(parts),
+        swaps=swapped,
+        knowing=informed,
+        learning=learning,
         domain=[
-            {"scenario": run.name_of("scenario"), **outside(run, learned["nn"])}
-            for name, run in made["timing steps"]
-            if name == "nn"
+            {"scenario": run.name_of("scenario"), **outside(run, free["nn"])} for name, run in runs if name == "nn"
         ],
         constant=constant,
-        runs=made["timing steps"],
+        runs=runs,
         data=dataset.name,
         data_test=str(dataset.provenance["settings"].get("scenario", "")),
         learned_from=len(source),
         operating_points=len(dataset),
         quick=quick,
         seconds=time.perf_counter() - begun,
-        training_seconds=sum(each.provenance["seconds"] for each in learned.values()),
+        training_seconds=training_seconds,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Stages:
-    """The stages of the experiment."""
-
-    dataset: DataSet
-    source: DataSet
-    """what the models learn from"""
-    constant: BestConstant
-    table: Schedule
-    quick: bool
-    seed: int
-    folder: Path | None
-
-    def all(self) -> list[Stage]:
-        """In their order."""
-        settings = [_METHOD, _fingerprint(self.dataset), self.quick, self.seed]
-        more = {"knowing the car": [*knowing_controllers(), repr(SEEDS)]}
-        makers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
-            **{f"training {model}": partial(self.trained, model) for model in LEARNED},
-            "driving both configurations": self.driven,
-            "taking the gain apart": self.taken_apart,
-            "swapping numbers": self.swapped,
-            "knowing the car": self.known,
-            "timing steps": self.timed,
-        }
-        return [
-            Stage(name, identity_of(name, settings + more.get(name, [])), make, self._keeper(name))
-            for name, make in makers.items()
-        ]
-
-    def _keeper(self, name: str) -> Keeper | None:
-        if self.folder is None or name == "timing steps":  # times are those of this session
-            return None
-        place, file = self.folder / "stages", f"{name.replace(' ', '-')}.json"
-        return SchedulerFile(place / file, {}) if name.startswith("training") else JSONFile(place / file)
-
-    def trained(self, model: str, made: Mapping[str, Any]) -> Schedule:
-        """The learned functions as a schedule, how good they are in its provenance."""
-        begun = time.perf_counter()
-        trained = train(self.source, model, "paper", seed=self.seed, **(QUICK[model] if self.quick else {}))
-        schedule = trained_schedule(trained, self.dataset)
-        more = {"quality": trained.quality, "seconds": time.perf_counter() - begun}
-        return dataclasses.replace(schedule, provenance={**schedule.provenance, **more})
-
-    def _configurations(self, made: Mapping[str, Any]) -> tuple[Configuration, Configuration]:
-        free = {model: made[f"training {model}"] for model in LEARNED}
-        return configurations(self.constant.tuning, self.table, _clamped(free), free)
-
-    def driven(self, made: Mapping[str, Any]) -> list[Row]:
-        """Every controller on both tests, without preview and with it."""
-        return [
-            measure(configuration, controller, load_scenario(name), preview)
-            for configuration in self._configurations(made)
-            for name in TESTS
-            for controller in configuration.controllers
-            for preview in (False, True)
-        ]
-
-    def taken_apart(self, made: Mapping[str, Any]) -> list[Row]:
-        """Moves and tuning, apart."""
-        released, _ = self._configurations(made)
-        clamped = _clamped({model: made[f"training {model}"] for model in LEARNED})
-        scenarios = [load_scenario(name) for name in TESTS]
-        return ablation(released.plant, scenarios, self.constant.tuning, clamped, self.dataset.library)
-
-    def swapped(self, made: Mapping[str, Any]) -> list[Row]:
-        """From the paper's table to the best constant, number by number."""
-        _, same = self._configurations(made)
-        return swaps(same.plant, [load_scenario(name) for name in TESTS], self.constant.tuning)
-
-    def known(self, made: Mapping[str, Any]) -> list[Row]:
-        """The controller that knows its car beside the paper's, these as released."""
-        return compare_knowing(TESTS, _clamped({model: made[f"training {model}"] for model in LEARNED}), FAST)
-
-    def timed(self, made: Mapping[str, Any]) -> list[tuple[str, Trajectory]]:
-        """Standard, nn and anfis from Python, with their step times."""
-        released, _ = self._configurations(made)
-        return [
-            (controller.stands_for, drive(released.plant, controller, load_scenario(name), timed=True))
-            for name in TESTS
-            for controller in released.controllers
-            if controller.stands_for
-        ]
+def learning_rows(dataset: DataSet, seed: int) -> DataSet:
+    """The operating points of a quick run: `QUICK_ROWS` at random."""
+    if len(dataset) <= QUICK_ROWS:
+        return dataset
+    return dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
 
 
-def _counted(progress: Progress | None, stages: int) -> Progress | None:
-    """Progress by the number of the stage."""
-    if progress is None:
-        return None
-    done = itertools.count()
-    return lambda what, at, of: progress(what, next(done), stages)
+def drive_all(configurations: Iterable[Configuration], scenarios: Sequence[Scenario]) -> list[Row]:
+    """Every controller on both tests, without and with preview, see `Reproduction.rows`."""
+    return [
+        measure(configuration, controller, scenario, preview)
+        for configuration in configurations
+        for scenario in scenarios
+        for controller in configuration.controllers
+        for preview in (False, True)
+    ]
 
 
-def _fingerprint(dataset: DataSet) -> str:
-    """SHA-256 of a data set."""
-    digest = hashlib.sha256(json.dumps(dataset.provenance, sort_keys=True, default=str).encode())
-    for each in dataclasses.fields(dataset):
-        if each.name != "provenance":
-            digest.update(np.ascontiguousarray(getattr(dataset, each.name)).tobytes())
-    return digest.hexdigest()
+def timed_runs(released: Configuration, scenarios: Iterable[Scenario]) -> list[tuple[str, Trajectory]]:
+    """Standard, nn and anfis from Python, with their step times."""
+    return [
+        (controller.stands_for, drive(released.plant, controller, scenario, timed=True))
+        for scenario in scenarios
+        for controller in released.controllers
+        if controller.stands_for
+    ]
 
 
-def _clamped(schedules: Mapping[str, Schedule]) -> dict[str, Schedule]:
-    """Learned schedules within the clamps of the authors' programs."""
-    return {model: _within(schedule, CLAMPS[model]) for model, schedule in schedules.items()}
+def _enter(progress: ProgressCall | None, stage: int) -> None:
+    if progress is not None:
+        progress(STAGES[stage], stage, len(STAGES))
 
 
 def _within(schedule: Schedule, clamps: Mapping[str, tuple[float, float]]) -> Schedule:

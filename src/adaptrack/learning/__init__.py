@@ -1,1 +1,0 @@
-"""Schedules learned on the closed loop."""
