@@ -1,4 +1,4 @@
-"""The commands around schedulers: paper adapt, paper evaluate, certify, schedulers, train."""
+"""The commands around schedulers: paper adapt, paper evaluate, certify, schedulers, paper train."""
 
 from __future__ import annotations
 
@@ -86,9 +86,9 @@ def places(tmp_path):
         ("certify {mine} --tyre magic", ["no tyre is named 'magic'", "'magic-formula'"]),
         ("certify {mine} --profile raod", ["raod"]),
         ("certify {mine} --out {file}/out", ["cannot be written"]),
-        ("train --model nn --out {out}/nn.json", ["--data"]),
-        ("train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
-        ("train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
+        ("paper train --model nn --out {out}/nn.json", ["--data"]),
+        ("paper train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
+        ("paper train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
         ("schedulers --jason", ["--jason"]),
     ],
 )
@@ -104,13 +104,13 @@ def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, c
     assert places["file"].stat().st_size == before
 
 
-@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "certify", "schedulers", "train"])
+@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "certify", "schedulers", "paper train"])
 def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     options = {
         "paper adapt": ["--out", "CAMPAIGN", "--workers"],
         "paper evaluate": ["--scheduler", "--operating-points", "--known-as", "--tests"],
         "certify": ["--profile", "--vehicle", "--feasible", "--mismatch", "--out"],
-        "schedulers": [], "train": ["--data", "--model", "--targets"],
+        "schedulers": [], "paper train": ["--data", "--model", "--targets"],
     }[command]  # fmt: skip
     shown = "--help-all" if command in ("paper adapt", "paper evaluate", "certify") else "--help"
     code = (
@@ -121,7 +121,7 @@ def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     assert all(option in text for option in ["Usage: adaptrack", "--json", *options])
 
 
-@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "reproduce"])
+@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "paper reproduce"])
 def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(monkeypatch, capsys, command):
     code, out, _ = run(monkeypatch, capsys, *command.split(), "--help")
     assert code == 0
