@@ -92,12 +92,11 @@ def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(mo
         (["simulate", "step", "--period", "1e-9"], ["2,000,000 are possible"]),
         (["simulate", "step", "--np", "1000000000"], ["Np = 1000000000", "at most 1,000"]),
         (["simulate", "step", "-o", "speed=1e15"], ["at most 100 m/s"]),
-        (["evaluate-schedules", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
-        (["evaluate-schedules", "--drives", "-5"], ["--drives = -5", "at least 1"]),
-        (["evaluate-schedules", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
-        (["evaluate-schedules", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
-        (["evaluate-schedules", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
-        (["adaptation", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
+        (["paper", "evaluate", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
+        (["paper", "evaluate", "--drives", "-5"], ["--drives = -5", "at least 1"]),
+        (["paper", "evaluate", "--operating-points", "1000000000"], ["at most 100,000"]),
+        (["paper", "evaluate", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
+        (["paper", "adapt", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, arguments, words):

@@ -75,8 +75,8 @@ def run(monkeypatch, capsys, *arguments):
             "Nothing was",
         ),
         ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
-        ("paper adapt --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
-        ("paper evaluate", "adaptrack.learning.adaptation.config.load_adaptation", "Nothing was written"),
+        ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to go on"),
+        ("paper evaluate", "adaptrack.paper.campaign_config.load_campaign", "Nothing was written"),
         ("certify road-nn", "adaptrack.control.scheduling.load_scheduler", "Nothing was written"),
         (
             "paper campaign paper-grid --out {out}",

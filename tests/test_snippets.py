@@ -24,7 +24,6 @@ PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("g
 
 LONG_COMMANDS = {
     "adapt": "20 s",
-    "adaptation": "39 minutes",
     "compare": "1 minute to hours",
     "certify": "5 s, and more with several inputs",
     "check-loop": "needs a log",
@@ -33,9 +32,10 @@ LONG_COMMANDS = {
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
     "drive road.csv --vehicle my-car.toml --controller informed": "needs a tuning that is found",
     "evaluate": "1 to 10 minutes",
-    "evaluate-schedules": "10 minutes",
     "identify": "needs a log",
+    "paper adapt": "39 minutes",
     "paper campaign": "5 minutes",
+    "paper evaluate": "10 minutes",
     "paper reproduce": "2 minutes",
     "paper train": "30 s",
     "shadow": "needs a log",

@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from adaptrack import __version__
 from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import loop_map
 from adaptrack.base.checked import checked
@@ -36,8 +35,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
-from adaptrack.core.library import kernels_hash
-from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign, software_versions
 from adaptrack.paper.campaign_config import CampaignConfig
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import Learnable, Surfaces, Training, improve
@@ -55,8 +53,8 @@ Schedules = Mapping[str, Schedule]
 Progress = Callable[[str, int, int], None]
 """Called with the name of the work, the steps done and their number."""
 
-CONTENDERS = ("best constant", "best constant on drives", "fallback", "look-up", "nn", "anfis")
-"""The schedules of an adaptation, in the order in which they are made."""
+CONTENDERS = ("fallback", "best constant", "best constant on drives", "look-up", "nn", "anfis")
+"""The schedules of an adaptation, in the order in which they are made: a domain without a fallback is refused first."""
 ANYWHERE = SchedulingVariables(15.0, 0.0, 0.7, 0.0)
 """A constant schedule has the same tuning everywhere."""
 
@@ -120,17 +118,15 @@ def adapt(
         When the folder cannot be written, or holds something damaged.
     """
     folder, task = Path(out), LearningTask.of(campaign, effort)
-    show = progress or (lambda work, done, total: None)
-    makers = Makers(task, _run_campaign(task, folder / "campaign", workers, show), show)
-    place = folder / "schedulers"
+    makers = Makers(task, folder / "campaign", workers, progress or (lambda work, done, total: None))
     schedules: dict[str, Schedule] = {}
-    for contender, make in makers.all().items():
-        file = place / f"{contender.replace(' ', '-')}.json"
+    for contender in CONTENDERS:
+        file = folder / "schedulers" / f"{contender.replace(' ', '-')}.json"
         identity = identity_of(task, contender)
         schedule = _load_schedule(file, identity)
         if schedule is None:
-            show(contender, 0, 1)
-            _save_schedule(make(schedules), file, task, identity)
+            makers.show(contender, 0, 1)
+            _save_schedule(makers.make(contender, schedules), file, task, identity)
             schedule = load_scheduler(file)
         schedules[contender] = schedule
     return schedules
@@ -157,7 +153,7 @@ def read_schedules(folder: str | os.PathLike[str]) -> dict[str, Schedule]:
 def identity_of(task: LearningTask, contender: str) -> str:
     """SHA-256 of everything on which a schedule depends: its campaign, the effort, the method and the software."""
     method = [(Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8") for name in METHOD]
-    settings = [contender, task.plan.identity, task.effort, method, software()]
+    settings = [contender, task.plan.identity, task.effort, method, software(task)]
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
 
 
@@ -165,12 +161,9 @@ METHOD = ("adaptation", "improvement", "landscape", "learning_task", "surfaces")
 """Files of this room that hold the method with its constants."""
 
 
-def software() -> dict[str, str]:
+def software(task: LearningTask) -> dict[str, str]:
     """Versions of the software on which the numbers depend."""
-    return {
-        "adaptrack": __version__, "kernels": kernels_hash(), "numpy": version("numpy"),
-        "scikit-learn": version("scikit-learn"),
-    }  # fmt: skip
+    return software_versions(task.plan.setup) | {"scikit-learn": version("scikit-learn")}
 
 
 def _load_schedule(file: Path, identity: str) -> Schedule | None:
@@ -190,42 +183,36 @@ def _save_schedule(schedule: Schedule, file: Path, task: LearningTask, identity:
     purpose = made_for(task.mpc, task.profile)
     purpose |= {"plant": f"{task.plan.config.plant}{twin}", "tyre": task.plant.tyre_name}
     record = {"identity": identity, "campaign": task.plan.identity, "effort": task.effort._asdict()}
-    provenance = {**schedule.provenance, **record, "software": software()}
+    provenance = {**schedule.provenance, **record, "software": software(task)}
     replace(schedule, provenance=provenance, made_for=purpose).save(file)
-
-
-def _run_campaign(task: LearningTask, folder: Path, workers: int | None, show: Progress) -> DataSet:
-    """The data set of the campaign; a domain that no fallback can hold is refused before its first run."""
-    resume = folder.exists()
-    if not resume:
-        safe_candidates(stability_map(task))
-    file = run_campaign(
-        task.plan.config, folder, resume=resume, workers=workers,
-        progress=lambda state: show("campaign", state.done, state.total),
-    )  # fmt: skip
-    return load_dataset(file)
 
 
 # -- makers -----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Makers:
-    """The makers of the contenders; runs and maps are prepared on first use."""
+    """The makers of the contenders; campaign, runs and map are prepared on first use."""
 
     task: LearningTask
-    dataset: DataSet
-    """of its campaign"""
+    folder: Path
+    """of the campaign"""
+    workers: int | None
     show: Progress
 
-    def all(self) -> dict[str, Callable[[Schedules], Schedule]]:
-        """The maker of each contender, which takes the schedules made before."""
-        return {
-            "best constant": partial(self.constant, 0),
-            "best constant on drives": partial(self.constant, 1),
-            "fallback": self.fallback,
-            "look-up": self.look_up,
-            "nn": partial(self.learned, "nn"),
-            "anfis": partial(self.learned, "anfis"),
-        }
+    def make(self, contender: str, schedules: Schedules) -> Schedule:
+        """The schedule of a contender; schedules: those before it in `CONTENDERS`."""
+        if contender in ("nn", "anfis"):
+            return self.learned(contender, as_tuning(schedules["fallback"](ANYWHERE)))
+        if contender == "look-up":
+            return self.look_up()
+        if contender == "fallback":
+            return Constant(safe_constant(self.training[2][0], self.stability))
+        runs, _ = self.training[1 if contender == "best constant on drives" else 0]
+        return Constant(as_tuning(best_constant(runs, self.task.effort.constant_tunings)))
+
+    @cached_property
+    def dataset(self) -> DataSet:
+        """The data set of the campaign."""
+        return load_dataset(run_campaign(self.task.plan.config, self.folder, workers=self.workers, progress=self.show))
 
     @cached_property
     def training(self) -> Training:
@@ -242,22 +229,13 @@ class Makers:
         """The map of the guard."""
         return stability_map(self.task)
 
-    def constant(self, part: int, schedules: Schedules) -> Schedule:
-        """The best constant tuning of the lane changes (part 0) or the drives (part 1) of the training."""
-        return Constant(as_tuning(best_constant(self.training[part][0], self.task.effort.constant_tunings)))
-
-    def fallback(self, schedules: Schedules) -> Schedule:
-        """A constant that keeps the car on the road where others fail."""
-        return Constant(safe_constant(self.training[2][0], self.stability))
-
-    def look_up(self, schedules: Schedules) -> Schedule:
+    def look_up(self) -> Schedule:
         """A table over the operating point, as it is made in practice."""
         nodes = {name: np.linspace(*self.task.box[name], count) for name, count in NODES.items()}
         return neighbour_lookup(self.dataset, nodes)
 
-    def learned(self, model: str, schedules: Schedules) -> Schedule:
-        """Networks or fuzzy systems, learned on the closed loop, behind the guard."""
-        safe = as_tuning(schedules["fallback"](ANYWHERE))
+    def learned(self, model: str, safe: Tuning) -> Schedule:
+        """Networks or fuzzy systems, learned on the closed loop, behind the guard with its fallback."""
         start = Learnable(self._first_surfaces(model), INPUTS, self.task.domain, model)
         improvement = improve(
             start, self.training, self.held_out, rounds=self.task.effort.rounds, seed=SEED, safe=safe,

@@ -180,7 +180,7 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
         for name, schedule in schedules.items():
             label, input_unit = INPUTS[schedule.inputs[1]]
             values = surfaces[name][..., k]
-            heat = HeatMap(*schedule.domain[:2], values, scale, image=True)
+            heat = HeatMap(schedule.domain[0], schedule.domain[1], values, scale, image=True)
             panels.append(Panel(
                 f"{data_text(label_of(name))}: {symbol} ({unit})", Axis("Speed (m/s)"), Axis(f"{label} ({input_unit})"),
                 [heat], f"{plain(symbol)} over speed and {label.lower()}: {span(values)}.",
@@ -204,6 +204,7 @@ def _surface(schedule: Schedule) -> Array:
     """(nodes of the second input, nodes of speed, 3) outputs, the other inputs in the middle of their domain."""
     columns, rows = NODES
     x = np.broadcast_to(schedule.domain.mean(axis=1), (rows, columns, len(schedule.inputs))).copy()
-    x[..., 0] = np.linspace(*schedule.domain[0], columns)
-    x[..., 1] = np.linspace(*schedule.domain[1], rows)[:, np.newaxis]
+    (slowest, fastest), (low, high) = schedule.domain[:2].tolist()
+    x[..., 0] = np.linspace(slowest, fastest, columns)
+    x[..., 1] = np.linspace(low, high, rows)[:, np.newaxis]
     return outputs_of(schedule, x.reshape(-1, x.shape[-1])).reshape(rows, columns, 3)

@@ -14,18 +14,22 @@ from hypothesis import strategies as st
 from adaptrack.base.errors import InvalidInput
 from adaptrack.comparison.statistics import geometric_mean
 from adaptrack.control.controllers import Tuning
-from adaptrack.control.scheduling import ENTRIES, Learned, Number, SchedulingVariables
-from adaptrack.learning.adaptation.config import Evaluation
-from adaptrack.learning.adaptation.improve import Learnable, improve
-from adaptrack.learning.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
-from adaptrack.learning.adaptation.method import ImprovementSettings, Method
+from adaptrack.control.scheduling import Learned, Number, SchedulingVariables
+from adaptrack.paper import improvement
+from adaptrack.paper.improvement import BOUNDS, REVISITED, Learnable, improve
+from adaptrack.paper.landscape import (
+    MAX_SEGMENT_COST,
+    MIN_CURVATURE,
+    OUTPUTS,
+    SHIFT,
+    Rescue,
+    explore_landscape,
+    preferred_moves,
+)
 from adaptrack.paper.surfaces import FuzzySurface, Level, NetworkSurface
 from adaptrack.tuning.runs import RunSet
 from small_runs import START, lane_changes, run_set
 
-METHOD = Method()
-SHIFT, LEAST_CURVATURE = np.array(METHOD.landscape.shift), np.array(METHOD.landscape.least_curvature)
-BOUNDS = METHOD.improvement.bounds
 FAILED_COST = RunSet.failure.distance**2
 
 
@@ -39,7 +43,7 @@ def three_costs(cost):
 # -- moves ------------------------------------------------------------------------------------------------------------
 def test_the_minimum_of_a_parabola_is_found_exactly(rng):
     best = rng.uniform(-2.0, 2.0, (50, 3)) * SHIFT
-    bend = LEAST_CURVATURE * rng.uniform(2.0, 50.0, (50, 3))  # the second derivative
+    bend = MIN_CURVATURE * rng.uniform(2.0, 50.0, (50, 3))  # the second derivative
     moves, weights = preferred_moves(
         *three_costs(lambda by: 0.4 + 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(50)
     )
@@ -50,19 +54,11 @@ def test_the_minimum_of_a_parabola_is_found_exactly(rng):
 def test_the_minimum_of_a_sum_of_parabolas_is_the_weighted_mean_of_their_minima(rng):
     """Why the weight is the curvature: what no input can tell apart shares one move, and it is Newton's."""
     best = rng.uniform(-1.0, 1.0, (30, 3)) * SHIFT
-    bend = LEAST_CURVATURE * rng.uniform(2.0, 50.0, (30, 3))
+    bend = MIN_CURVATURE * rng.uniform(2.0, 50.0, (30, 3))
     moves, weights = preferred_moves(*three_costs(lambda by: 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(30))
     for i in range(3):
         together = Level(0.0).fit(np.zeros((30, 1)), moves[:, i], weights[:, i]).value
         assert (bend[:, i] * (together - best[:, i])).sum() == pytest.approx(0.0, abs=1e-11)
-
-
-def test_what_is_flatter_than_the_least_curvature_is_treated_as_that_curved():
-    share = np.array([1.0, 0.25])
-    slope = 1e-3 * LEAST_CURVATURE
-    moves, weights = preferred_moves(*three_costs(lambda by: np.full(2, slope @ by)), share)
-    np.testing.assert_allclose(weights, LEAST_CURVATURE * share[:, None])
-    np.testing.assert_allclose(moves, -slope / weights)
 
 
 COSTS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e-300, 1e300])
@@ -85,18 +81,15 @@ def test_on_a_concave_landscape_the_move_goes_downhill_two_shifts_and_no_further
     np.testing.assert_allclose(weights, [1.0 / (2.0 * SHIFT**2)])
 
 
-@pytest.mark.parametrize("unknown", [np.nan, np.inf])
-@pytest.mark.parametrize("which", ["base", "up", "down"])
-def test_an_unknown_cost_weighs_nothing_and_says_so_of_its_own_output_only(unknown, which):
-    costs = dict(
-        zip(("base", "up", "down"), three_costs(lambda by: np.full(2, 1.0 + (by / SHIFT) @ (by / SHIFT))), strict=True)
-    )
-    costs[which] = costs[which].copy()
-    costs[which][(0,) if which == "base" else (0, 1)] = unknown
-    moves, weights = preferred_moves(**costs, share=np.ones(2))
-    assert np.isfinite(moves).all()
-    assert (weights[0] == 0.0).tolist() == ([True] * 3 if which == "base" else [False, True, False])
-    assert (weights[1] > 0.0).all()
+def test_an_unknown_cost_weighs_nothing_for_its_own_output_only():
+    for unknown, which in itertools.product((np.nan, np.inf), ("base", "up", "down")):
+        costs = three_costs(lambda by: np.full(2, 1.0 + (by / SHIFT) @ (by / SHIFT)))
+        costs = {name: values.copy() for name, values in zip(("base", "up", "down"), costs, strict=True)}
+        costs[which][(0,) if which == "base" else (0, 1)] = unknown
+        moves, weights = preferred_moves(**costs, share=np.ones(2))
+        assert np.isfinite(moves).all()
+        assert (weights[0] == 0.0).tolist() == ([True] * 3 if which == "base" else [False, True, False])
+        assert (weights[1] > 0.0).all()
 
 
 # -- the landscape ----------------------------------------------------------------------------------------------------
@@ -155,8 +148,10 @@ def beginning(kind):
     return Learnable(surfaces, INPUTS, DOMAIN)
 
 
-def checked_every(rounds):
-    return METHOD.replace(improvement=ImprovementSettings(check=rounds))
+@pytest.fixture
+def check_every(monkeypatch):
+    """Sets the rounds between two scores."""
+    return lambda rounds: monkeypatch.setattr(improvement, "CHECK_INTERVAL", rounds)
 
 
 def constant_schedule(by):
@@ -170,7 +165,7 @@ def constant_schedule(by):
 def test_the_landscape_says_for_every_segment_where_its_inputs_want_to_go():
     bowl = Bowl(along_speed_and_friction, noise=0.0)
     which = np.array([3, 7, 8])
-    rows, moves, weights = landscape(bowl, constant_schedule, 1, which, METHOD.landscape)
+    rows, moves, weights = explore_landscape(bowl, constant_schedule, 1, which)
     assert rows.shape == (3 * 3 * 2, len(SchedulingVariables._fields))
     assert moves.shape == weights.shape == (3 * 3 * 2, 3)
     wanted = along_speed_and_friction(rows) - [START.Np, START.Nc, math.log10(START.R)]
@@ -186,7 +181,7 @@ def test_the_landscape_says_for_every_segment_where_its_inputs_want_to_go():
 def test_every_run_counts_alike_however_much_it_costs():
     scale = 10.0 ** np.random.default_rng(5).uniform(-3.0, 3.0, 48)
     plain, scaled = (
-        landscape(Bowl(along_speed_and_friction, scale=p), constant_schedule, 1, np.arange(48), METHOD.landscape)
+        explore_landscape(Bowl(along_speed_and_friction, scale=p), constant_schedule, 1, np.arange(48))
         for p in (None, scale)
     )
     for one, other in zip(plain, scaled, strict=True):
@@ -197,10 +192,10 @@ def test_a_segment_is_put_down_to_what_was_seen_in_it_and_shortly_before():
     bowl = Bowl(same_everywhere, runs=2, segments=3)
     bowl.variables[..., 1] = np.arange(30)  # the instant
     bowl.before = 10
-    rows, _, weights = landscape(bowl, constant_schedule, 1, np.array([1]), METHOD.landscape)
+    rows, _, weights = explore_landscape(bowl, constant_schedule, 1, np.array([1]))
     assert rows[:, 1].tolist() == [0, 5, *(0, 5, 10, 15), *(10, 15, 20, 25)]
     bowl.before = 0
-    alone = landscape(bowl, constant_schedule, 1, np.array([1]), METHOD.landscape)[2]
+    alone = explore_landscape(bowl, constant_schedule, 1, np.array([1]))[2]
     for columns, others in (((0, 2), (0, 2)), ((2, 6), (2, 4)), ((6, 10), (4, 6))):
         np.testing.assert_allclose(weights[slice(*columns)].sum(axis=0), alone[slice(*others)].sum(axis=0))
 
@@ -217,13 +212,13 @@ class Failing(Bowl):
 
 def test_where_a_shift_makes_a_run_fail_the_output_moves_away_and_what_follows_says_nothing():
     failing = Failing(lambda rows: same_everywhere(rows) * [0, 1, 1] + [29, 0, 0])
-    _, moves, weights = landscape(failing, constant_schedule, 1, np.arange(48), METHOD.landscape)
+    _, moves, weights = explore_landscape(failing, constant_schedule, 1, np.arange(48))
     segment = np.repeat(np.arange(3), 48 * 2)
     assert (moves[segment == 0][:, 0] == 0.0).all()
     np.testing.assert_allclose(moves[segment == 1][:, 0], -0.5 * SHIFT[0], rtol=0.02)
     assert (weights[segment == 2][:, 0] == 0.0).all()
     assert (weights[segment == 2][:, 2] > 0.0).all(), "the other outputs' shifts fail nowhere"
-    worst = METHOD.landscape.worst_segment / SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
+    worst = MAX_SEGMENT_COST / SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
     assert weights[:, 0].max() <= worst / 2 / 48  # two looks in each segment of 48 runs
 
 
@@ -256,8 +251,8 @@ def test_what_saves_a_failed_run_is_learned_where_it_failed_and_before():
     # towards 5.6 by a quarter (4.1), a half (4.6), all the way; the last run cannot be saved, the first does not fail
     runs, start = Narrow([3.0, 4.0, 4.5, 5.0, 6.0]), 3.6
     base = towards(5.6).schedule
-    _, moves, weights = landscape(runs, constant_schedule, 1, np.arange(5), METHOD.landscape, towards(5.6))
-    plain_moves, plain_weights = landscape(runs, constant_schedule, 1, np.arange(5), METHOD.landscape)[1:]
+    _, moves, weights = explore_landscape(runs, constant_schedule, 1, np.arange(5), towards(5.6))
+    plain_moves, plain_weights = explore_landscape(runs, constant_schedule, 1, np.arange(5))[1:]
     assert base(0.0)(SchedulingVariables(20.0, 0.0, 0.8, 0.0))[3] == pytest.approx(10**start)
     moves, plain_moves, weights, plain_weights = (
         each.reshape(5, 5, 2, 3) for each in (moves, plain_moves, weights, plain_weights)
@@ -271,7 +266,7 @@ def test_what_saves_a_failed_run_is_learned_where_it_failed_and_before():
         np.testing.assert_array_equal(moves[:, run], plain_moves[:, run])
         np.testing.assert_array_equal(weights[:, run], plain_weights[:, run])
     # as much as a parabola weighs that costs what a failed segment does, that far from where it failed
-    np.testing.assert_allclose(weights[2, 2, :, 2].sum() * 5, 2.0 * METHOD.landscape.worst_segment / 1.0**2)
+    np.testing.assert_allclose(weights[2, 2, :, 2].sum() * 5, 2.0 * MAX_SEGMENT_COST / 1.0**2)
 
 
 @pytest.mark.compiled
@@ -327,7 +322,8 @@ class Judge:
 
 
 @pytest.mark.compiled
-def test_the_best_round_is_kept_with_its_surfaces():
+def test_the_best_round_is_kept_with_its_surfaces(check_every):
+    check_every(3)
     start = ([20, 20], [20])
     first, second = (
         Judge(start[0], [3, 3], [1, 4], [2, 8], [FAILED_COST, 2]),
@@ -338,7 +334,6 @@ def test_the_best_round_is_kept_with_its_surfaces():
         [(Bowl(same_everywhere), 8)],
         [first, second],
         rounds=11,
-        method=checked_every(3),
     )
     assert [row["round"] for row in made.history] == [0, 3, 6, 9, 11]
     logs = [
@@ -397,7 +392,7 @@ class Fatal(Bowl):
 def test_a_run_that_ever_failed_is_driven_in_every_round():
     fatal = Fatal(same_everywhere)
     fatal.driven = []
-    count = METHOD.improvement.revisited
+    count = REVISITED
     improve(beginning("constant"), [(fatal, count)], [Judge([1.0], [1.0])], rounds=4)
     few = [which for which in fatal.driven if len(which) == count]
     assert all(5 in which for which in few)
@@ -417,51 +412,34 @@ def test_learning_depends_on_its_seed_alone():
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("seed", [0, 1, 7])
-def test_noise_is_new_in_every_round_and_never_that_of_a_search_or_an_evaluation(seed):
+@pytest.mark.parametrize("seed", [0, 7])
+def test_noise_is_new_in_every_round_and_never_that_of_the_scores(seed):
     bowl, judge = Bowl(same_everywhere), Judge(*[[1.0]] * 10)
-    improve(beginning("constant"), [(bowl, 4)], [judge], rounds=10, seed=seed, method=checked_every(5))
+    improve(beginning("constant"), [(bowl, 4)], [judge], rounds=10, seed=seed)
     rounds = [noise for noise, _ in itertools.groupby(bowl.asked)]
     assert len(rounds) == len(set(rounds)) == 10, "one for each, under which all shifts are compared"
     assert len(judge.seeds) == 3, "the start and two checks"
     assert not set(rounds) & set(judge.seeds)
-    judged = Evaluation()
-    searched = itertools.chain(*judged.search_seeds)
-    assert not {*rounds, *judge.seeds} & {*judged.noise_seeds, *searched, *judged.choice_seeds}
 
 
-def test_progress_is_told_before_every_round():
-    heard = []
-    improve(
-        beginning("constant"), [(Bowl(same_everywhere, runs=4), 2)], [Judge([1.0], [1.0])], rounds=2,
-        progress=lambda *at: heard.append(at),
-    )  # fmt: skip
-    assert heard == [(0, 2), (1, 2)]
-
-
-def test_a_missing_surface_and_an_input_that_depends_on_the_driving_are_refused():
-    given = beginning("constant")
-    with pytest.raises(InvalidInput, match="offset"):
-        improve(replace(given, inputs=("speed", "offset")), [], [])
-    del given.surfaces["Nc"]
-    with pytest.raises(InvalidInput, match="Np, Nc, log10_ratio"):
-        improve(given, [], [])
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"inputs": ("speed", "offset")}, "offset"),
+        ({"inputs": ("speed", "grip")}, "'grip'.*friction"),
+        ({"surfaces": {"Np": Level(30.0)}}, "Np, Nc, log10_ratio"),
+    ],
+)
+def test_a_missing_surface_and_an_input_unknown_before_driving_are_refused(changes, words):
+    with pytest.raises(InvalidInput, match=words):
+        improve(replace(beginning("constant"), **changes), [], [])
 
 
 @pytest.mark.compiled
-def test_on_real_runs_learning_lowers_the_cost_of_runs_that_it_never_saw():
+def test_on_real_runs_learning_lowers_the_cost_of_runs_that_it_never_saw(check_every):
+    check_every(2)
     slow = {slot: Level(value) for slot, value in zip(OUTPUTS, (45.0, 3.0, 4.6), strict=True)}
     train, held_out = run_set(lane_changes(24, 4.0)[:16]), run_set(lane_changes(24, 4.0)[16:])
-    made = improve(Learnable(slow, INPUTS, DOMAIN), [(train, 16)], [held_out], rounds=8, method=checked_every(2))
+    made = improve(Learnable(slow, INPUTS, DOMAIN), [(train, 16)], [held_out], rounds=8)
     before = held_out.costs(Tuning(45, 3, 1.0, 10.0**4.6), [12345])
     assert geometric_mean(held_out.costs(made.schedule, [12345])) < 0.7 * geometric_mean(before)
-
-
-def test_an_unknown_input_is_named_with_those_that_are_known():
-    with pytest.raises(InvalidInput, match=r"'grip'.*friction"):
-        improve(replace(beginning("constant"), inputs=("speed", "grip")), [], [])
-
-
-def test_the_outputs_are_entries_of_a_schedule():
-    assert (*ENTRIES[:2], "log10_ratio") == OUTPUTS
-    assert len(SHIFT) == len(LEAST_CURVATURE) == len(OUTPUTS)
