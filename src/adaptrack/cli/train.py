@@ -13,7 +13,7 @@ from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, say_next
 from adaptrack.cli.show import Column
 
-COLUMNS = (
+QUALITY_COLUMNS = (
     Column("slot", "target"),
     Column("r2", "R²\nheld out", "", 3),
     Column("ceiling_r2", "R²\nof trees", "", 3),
@@ -67,7 +67,7 @@ def train(given: TrainOptions) -> None:
         show.say_json({"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets, "rows": rows})
         return
     held_out = f"{rows[0]['n_holdout']} of {len(dataset)} operating points held out"
-    show.table(f"{model} from {dataset.name}, {held_out}; RMSE in the unit of the target", COLUMNS, rows)
+    show.table(f"{model} from {dataset.name}, {held_out}; RMSE in the unit of the target", QUALITY_COLUMNS, rows)
     show.say(f"Schedule: {out}")
     purpose = {f"--{key}": schedule.made_for.get(name) for key, name in (("vehicle", "car"), ("profile", "profile"))}
     words = [word for option, value in purpose.items() if value for word in (option, value)]

@@ -41,14 +41,14 @@ from adaptrack.paper.evaluator import campaign_objective
 from adaptrack.tuning.objective import Objective, Tuned
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+StreamNumbers = NDArray[np.int64]
 Map = Callable[..., Iterable["TunedPoint"]]
 """The `map` of an executor"""
 
 
 # -- one operating point ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Task:
+class TuningTask:
     """What all operating points of a campaign share; it travels to the workers."""
 
     setup: Setup
@@ -74,7 +74,7 @@ def software_versions(setup: Setup) -> dict[str, str]:
 
 
 @lru_cache(maxsize=4)
-def objective_and_library(task: Task) -> tuple[Objective, Array]:
+def objective_and_library(task: TuningTask) -> tuple[Objective, Array]:
     """The closed loop and the library of a task, prepared once in each process.
 
     Raises
@@ -88,7 +88,7 @@ def objective_and_library(task: Task) -> tuple[Objective, Array]:
     return campaign_objective(task.setup), config.library.rows(config.search)
 
 
-def tune_point(task: Task, stream: int, point: Array) -> TunedPoint:
+def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
     """Search the best tuning at an operating point (4,) and evaluate the library there.
 
     stream: the number of the operating point; random numbers depend on it and on the campaign's seed only.
@@ -105,7 +105,7 @@ def tune_point(task: Task, stream: int, point: Array) -> TunedPoint:
 
 # -- parts ------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class Parts:
+class CampaignParts:
     """The part files of a campaign, each with the hashes of settings and kernels in its metadata."""
 
     plan: Plan
@@ -114,7 +114,7 @@ class Parts:
     """name, versions of the software, settings and identity (the hash of the settings)"""
 
     @cached_property
-    def streams(self) -> list[Integers]:
+    def streams(self) -> list[StreamNumbers]:
         """The numbers of the operating points of each part."""
         computed, size = self.plan.fold.representatives, self.plan.config.chunk
         return [computed[first : first + size] for first in range(0, len(computed), size)]
@@ -231,18 +231,20 @@ def run_campaign(
     plan = Plan.of(config)
     versions = software_versions(plan.setup)
     about = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
-    parts = Parts(plan, Path(out), about)
+    parts = CampaignParts(plan, Path(out), about)
     _make_folder(parts.file(0).parent)
     missing = parts.missing()
     if missing:
         with _opened_map(workers, cluster) as map_points:
-            _compute(parts, missing, Task(plan.setup, tuple(versions.items())), map_points, progress)
+            _compute(parts, missing, TuningTask(plan.setup, tuple(versions.items())), map_points, progress)
     file = parts.folder / "dataset.parquet"
     parts.merged().save(file)
     return file
 
 
-def _compute(parts: Parts, missing: list[int], task: Task, map_points: Map, progress: ProgressCall | None) -> None:
+def _compute(
+    parts: CampaignParts, missing: list[int], task: TuningTask, map_points: Map, progress: ProgressCall | None
+) -> None:
     """Compute parts, and write each one when its last operating point is there."""
     streams = np.concatenate([parts.streams[number] for number in missing])
     points = parts.plan.operating_points[streams]

@@ -29,7 +29,7 @@ from adaptrack.paper.operating_points import NAMES, check_operating_points, fold
 
 Array = NDArray[Any]
 
-FORMAT = "adaptrack data set"
+DATA_SET_FORMAT = "adaptrack data set"
 FORMAT_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
@@ -49,7 +49,7 @@ class TunedColumn(NamedTuple):
     """2: a list of numbers in each row, equally long in all"""
 
 
-COLUMNS = (
+DATA_SET_COLUMNS = (
     TunedColumn(
         "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
     ),
@@ -222,10 +222,10 @@ class DataSet:
         values |= {"trace": self.traces, "landscape": self.landscape}
         columns = [
             ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
-            for name, unit, dtype, meaning, _ in COLUMNS
+            for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
         ]
         about = {**self.provenance, "library": self.library.tolist()}
-        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, columns, about), through_links=False)
+        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, about), through_links=False)
 
     @classmethod
     @checked
@@ -238,10 +238,10 @@ class DataSet:
             When the file is missing, damaged, no data set, or of another format version; the message says which.
         """
         remedy = "run its campaign again, or use the release that wrote it"
-        names = [column.name for column in COLUMNS]
-        columns, about = decode_parquet(read_bytes(path), path, FORMAT, FORMAT_VERSION, remedy, names)
+        names = [column.name for column in DATA_SET_COLUMNS]
+        columns, about = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, FORMAT_VERSION, remedy, names)
         try:
-            for name, _, dtype, _, ndim in COLUMNS:
+            for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
                 if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:
                     raise ValueError(f"column {name!r} holds {columns[name].dtype}, not {dtype}")
             library = np.array(about.pop("library"), dtype=np.float64)

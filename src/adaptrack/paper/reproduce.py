@@ -63,7 +63,7 @@ CLAMPS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 }
 """Bounds that the authors' programs put on the outputs of each model; infinite where they put none."""
 
-STAGES = (
+EXPERIMENT_STAGES = (
     "training nn", "training anfis", "driving both configurations", "splitting the gain",
     "driving the informed controller", "timing steps",
 )  # fmt: skip
@@ -304,7 +304,7 @@ def timed_runs(released: Configuration, scenarios: Iterable[Scenario]) -> list[t
 
 def _enter(progress: ProgressCall | None, stage: int) -> None:
     if progress is not None:
-        progress(STAGES[stage], stage, len(STAGES))
+        progress(EXPERIMENT_STAGES[stage], stage, len(EXPERIMENT_STAGES))
 
 
 def _within(schedule: Schedule, clamps: Mapping[str, tuple[float, float]]) -> Schedule:
