@@ -188,18 +188,18 @@ def road(folder: Path) -> Any:
 
 def row(folder: Path) -> Any:
     """From the settings of a small campaign to a schedule."""
+    import adaptrack as at
 
     try:
-        from adaptrack import paper
-        from adaptrack.paper.schedules import trained_schedule
+        from adaptrack.learning.adaptation.recipes import trained_schedule
     except ImportError:  # before the rooms
         from adaptrack.adaptation.recipes import trained_schedule
     (folder / "small.toml").write_text(CAMPAIGN)
-    config = paper.load_campaign(folder / "small.toml")
+    config = at.load_campaign(folder / "small.toml")
 
     def walk() -> Any:
-        data = paper.load_dataset(paper.run_campaign(config, folder / "campaign", workers=1))
-        return trained_schedule(paper.train(data, "nn", epochs=20), data)
+        data = at.load_dataset(at.run_campaign(config, folder / "campaign", workers=1))
+        return trained_schedule(at.train(data, "nn", epochs=20), data)
 
     return walk, (config,)
 

@@ -178,8 +178,8 @@ def attack_roads(folder: Path, rng: random.Random) -> Faults:
 
 def attack_fis(folder: Path, rng: random.Random) -> Faults:
     """Files of fuzzy systems with characters and lines that were changed, dropped and repeated."""
-    from adaptrack.paper import read_fis, write_fis
-    from adaptrack.paper.anfis import ANFIS
+    from adaptrack.learning import read_fis, write_fis
+    from adaptrack.learning.anfis import ANFIS
 
     inputs = [[rng.random(), rng.random()] for _ in range(60)]
     write_fis(ANFIS(epochs=2).fit(inputs, [a - b for a, b in inputs]), folder / "good.fis")

@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from adaptrack.paper.campaign import run_campaign
     from adaptrack.paper.campaign_config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
+    from adaptrack.paper.data_set_summary import describe
     from adaptrack.paper.fis import read_fis, write_fis
     from adaptrack.paper.improvement import improve
     from adaptrack.paper.mlp import MLP
     from adaptrack.paper.partition import subtractive_clustering
+    from adaptrack.paper.schedules import trained_schedule
     from adaptrack.paper.training import TARGETS, Trained, train
 
 _MODULES = {
@@ -34,6 +36,7 @@ _MODULES = {
     "TARGETS": "training",
     "Trained": "training",
     "adapt": "adaptation",
+    "describe": "data_set_summary",
     "improve": "improvement",
     "list_campaigns": "campaign_config",
     "list_datasets": "data_set",
@@ -43,6 +46,7 @@ _MODULES = {
     "run_campaign": "campaign",
     "subtractive_clustering": "partition",
     "train": "training",
+    "trained_schedule": "schedules",
     "write_fis": "fis",
 }
 
@@ -54,6 +58,7 @@ __all__ = [
     "DataSet",
     "Trained",
     "adapt",
+    "describe",
     "improve",
     "list_campaigns",
     "list_datasets",
@@ -63,6 +68,7 @@ __all__ = [
     "run_campaign",
     "subtractive_clustering",
     "train",
+    "trained_schedule",
     "write_fis",
 ]
 
