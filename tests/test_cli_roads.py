@@ -110,8 +110,8 @@ def test_an_evaluation_drives_all_on_the_same_roads_and_leaves_out_what_does_not
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["tune"], "adaptrack campaign NAME"),
-        (["tune", "--config", "paper-grid"], "adaptrack campaign paper-grid --out DIR"),
+        (["tune"], "adaptrack paper campaign NAME"),
+        (["tune", "--config", "paper-grid"], "adaptrack paper campaign paper-grid --out DIR"),
         (["evaluate"], "adaptrack evaluate-schedules"),
         (["tune", "town", "--length", "200", "--controller", "nn"], "that of these can be sought: as-released"),
         (["tune", "town", "--length", "200", "--runs", "19"], "give at least 20"),

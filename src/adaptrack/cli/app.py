@@ -9,27 +9,22 @@ import typer
 from adaptrack import __version__
 from adaptrack.cli import (
     adapt,
-    adaptation,
-    campaign,
     car,
     certify,
     check_loop,
     compare,
-    dataset,
     drive,
     evaluate,
-    evaluate_schedules,
     export,
     export_fmu,
     export_page,
     identify,
     lists,
     manoeuvre,
-    reproduce,
+    paper,
     road,
     shadow,
     simulate,
-    train,
     tune,
 )
 
@@ -75,19 +70,14 @@ for command in (
     lists.vehicles,
     car.car,
     tune.tune,
-    campaign.campaign,
-    train.train,
-    reproduce.reproduce,
     adapt.adapt,
-    adaptation.adaptation,
     certify.certify,
     evaluate.evaluate,
-    evaluate_schedules.evaluate_schedules,
     compare.compare,
     lists.schedulers,
 ):
     app.command()(command)
-app.add_typer(dataset.app, name="dataset")
+app.add_typer(paper.app, name="paper")
 export.app.command("fmu")(export_fmu.export_fmu)
 export.app.command("page")(export_page.export_page)
 app.add_typer(export.app, name="export")

@@ -34,14 +34,10 @@ def vehicles(as_json: options.Json = False) -> None:
 def schedulers(as_json: options.Json = False) -> None:
     """List the schedulers that ship with the package."""
     from adaptrack.control.scheduling import list_schedulers, load_scheduler
-    from adaptrack.learning.adaptation.config import list_adaptations
-    from adaptrack.studies.adapt import contender_of
 
-    studies = list_adaptations()
     rows = [
         {
             "name": name,
-            "contender": contender_of(name, studies) or "",
             "car": each.made_for.get("car", ""),
             "profile": each.made_for.get("profile", ""),
             "inputs": ", ".join(each.inputs),

@@ -45,7 +45,7 @@ class TuneOptions:
     ] = 2
     seed: Annotated[int, Option("--seed", hidden=True, min=0, help="Of the search.")] = 0
     out: Annotated[Path, Option("--out", metavar="FILE", help="File of the tuning.")] = Path("tuning.toml")
-    config: Annotated[str | None, Option("--config", hidden=True, help="Gone: see `campaign`.")] = None
+    config: Annotated[str | None, Option("--config", hidden=True, help="Gone: see `paper campaign`.")] = None
     as_json: options.Json = False
 
 
@@ -54,13 +54,13 @@ def tune(given: TuneOptions) -> None:
     """Seek the best tuning of a controller on given roads.
 
     It is written for `drive --tuning`. Default and tuned are then driven with noise that the search did not see. Runs
-    that fail are counted; the exit code is 0. Campaigns over operating points: `adaptrack campaign`.
+    that fail are counted; the exit code is 0. Campaigns over operating points: `adaptrack paper campaign`.
     """
     if given.config is not None:
         raise InvalidInput(
-            f"tune --config: a campaign has its own command: adaptrack campaign {given.config} --out DIR."
+            f"tune --config: a campaign has its own command: adaptrack paper campaign {given.config} --out DIR."
         )
-    roads = on_roads.named("tune", given.road, "to tune an MPC on operating points: adaptrack campaign NAME --out DIR")
+    roads = on_roads.named("tune", given.road, "for operating points: adaptrack paper campaign NAME --out DIR")
     options.make_place(given.out)
     setting = on_roads.RoadSetting.of(roads, given.route, given.car, given.profile, given.as_json)
     _tune(given, setting, _tunable(setting, given.controller))

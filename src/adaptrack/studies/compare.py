@@ -184,7 +184,7 @@ def _driven(task: ComparisonConfig, cells: Iterable[Cell], dask: str | None) -> 
         for cell in cells:
             yield cell, run_cell(task, cell)
         return
-    from adaptrack.tuning.campaign import dask_client
+    from adaptrack.base.cluster import dask_client
 
     with dask_client(dask) as client:
         pool = client.get_executor(retries=3, pure=False)

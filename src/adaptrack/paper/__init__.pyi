@@ -1,0 +1,18 @@
+"""The public names of the paper's experiment."""
+
+from .adaptation import adapt as adapt
+from .anfis import ANFIS as ANFIS
+from .campaign import run_campaign as run_campaign
+from .campaign_config import (
+    CampaignConfig as CampaignConfig,
+    list_campaigns as list_campaigns,
+    load_campaign as load_campaign,
+)
+from .data_set import DataSet as DataSet, list_datasets as list_datasets, load_dataset as load_dataset
+from .data_set_summary import describe as describe
+from .fis import read_fis as read_fis, write_fis as write_fis
+from .improvement import improve as improve
+from .mlp import MLP as MLP
+from .partition import subtractive_clustering as subtractive_clustering
+from .schedules import trained_schedule as trained_schedule
+from .training import TARGETS as TARGETS, Trained as Trained, train as train
