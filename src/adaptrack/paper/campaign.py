@@ -41,14 +41,14 @@ from adaptrack.paper.evaluator import campaign_objective
 from adaptrack.tuning.objective import Objective, Tuned
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+StreamNumbers = NDArray[np.int64]
 Map = Callable[..., Iterable["TunedPoint"]]
 """The `map` of an executor"""
 
 
 # -- one operating point ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Task:
+class TuningTask:
     """What all operating points of a campaign share; it travels to the workers."""
 
     setup: Setup
@@ -74,7 +74,7 @@ def software_versions(setup: Setup) -> dict[str, str]:
 
 
 @lru_cache(maxsize=4)
-def objective_and_library(task: Task) -> tuple[Objective, Array]:
+def objective_and_library(task: TuningTask) -> tuple[Objective, Array]:
     """The closed loop and the library of a task, prepared once in each process.
 
     Raises
@@ -88,7 +88,7 @@ def objective_and_library(task: Task) -> tuple[Objective, Array]:
     return campaign_objective(task.setup), config.library.rows(config.search)
 
 
-def tune_point(task: Task, stream: int, point: Array) -> TunedPoint:
+def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
     """Search the best tuning at an operating point (4,) and evaluate the library there.
 
     stream: the number of the operating point; random numbers depend on it and on the campaign's seed only.
@@ -105,16 +105,16 @@ def tune_point(task: Task, stream: int, point: Array) -> TunedPoint:
 
 # -- parts ------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class Parts:
+class CampaignParts:
     """The part files of a campaign, each with the hashes of settings and kernels in its metadata."""
 
     plan: Plan
     folder: Path
-    about: Mapping[str, Any]
+    provenance: Mapping[str, Any]
     """name, versions of the software, settings and identity (the hash of the settings)"""
 
     @cached_property
-    def streams(self) -> list[Integers]:
+    def streams(self) -> list[StreamNumbers]:
         """The numbers of the operating points of each part."""
         computed, size = self.plan.fold.representatives, self.plan.config.chunk
         return [computed[first : first + size] for first in range(0, len(computed), size)]
@@ -140,10 +140,10 @@ class Parts:
             return None
         part = DataSet.load(file)
         for key, name in (("identity", "settings"), ("versions", "software")):
-            if part.provenance.get(key) != self.about[key]:
+            if part.provenance.get(key) != self.provenance[key]:
+                difference = _difference(part.provenance, self.provenance, key)
                 raise StorageError(
-                    f"{file}: was computed with other {name} ({_difference(part.provenance, self.about, key)}): choose "
-                    "another folder, or remove this one."
+                    f"{file}: was computed with other {name} ({difference}): choose another folder, or remove this one."
                 )
         if not np.array_equal(part.stream, self.streams[number]):
             raise StorageError(f"{file}: holds other operating points; was `chunk` changed? Choose another folder.")
@@ -167,7 +167,7 @@ class Parts:
             stream=streams,
             mirrored_from=np.full(count, -1),
             seed=np.full(count, self.plan.config.seed),
-            provenance=dict(self.about),
+            provenance=dict(self.provenance),
         ).save(self.file(number))
 
     def merged(self) -> DataSet:
@@ -182,17 +182,17 @@ class Parts:
             "stream": numbers,
             "mirrored_from": np.where(origin == numbers, -1, origin),
         }
-        return DataSet(**columns, library=self.plan.library, provenance=dict(self.about))
+        return DataSet(**columns, library=self.plan.library, provenance=dict(self.provenance))
 
 
 def _difference(theirs: Mapping[str, Any], ours: Mapping[str, Any], key: str) -> str:
     """The first entry in which the settings or the versions of two campaigns differ."""
     table = "settings" if key == "identity" else key
-    before, now = theirs.get(table), ours[table]
-    if isinstance(before, Mapping):
-        for name in sorted({*before, *now}):
-            if before.get(name) != now.get(name):
-                return f"{name} = {before.get(name)} there, {now.get(name)} here"
+    previous, current = theirs.get(table), ours[table]
+    if isinstance(previous, Mapping):
+        for name in sorted({*previous, *current}):
+            if previous.get(name) != current.get(name):
+                return f"{name} = {previous.get(name)} there, {current.get(name)} here"
     return "operating points or library differ"
 
 
@@ -230,19 +230,21 @@ def run_campaign(
         raise InvalidInput("workers and cluster: give one of them; a cluster has its own workers.")
     plan = Plan.of(config)
     versions = software_versions(plan.setup)
-    about = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
-    parts = Parts(plan, Path(out), about)
+    provenance = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
+    parts = CampaignParts(plan, Path(out), provenance)
     _make_folder(parts.file(0).parent)
     missing = parts.missing()
     if missing:
         with _opened_map(workers, cluster) as map_points:
-            _compute(parts, missing, Task(plan.setup, tuple(versions.items())), map_points, progress)
+            _compute(parts, missing, TuningTask(plan.setup, tuple(versions.items())), map_points, progress)
     file = parts.folder / "dataset.parquet"
     parts.merged().save(file)
     return file
 
 
-def _compute(parts: Parts, missing: list[int], task: Task, map_points: Map, progress: ProgressCall | None) -> None:
+def _compute(
+    parts: CampaignParts, missing: list[int], task: TuningTask, map_points: Map, progress: ProgressCall | None
+) -> None:
     """Compute parts, and write each one when its last operating point is there."""
     streams = np.concatenate([parts.streams[number] for number in missing])
     points = parts.plan.operating_points[streams]

@@ -69,7 +69,7 @@ FLATNESS = (
 
 
 @dataclass(frozen=True)
-class Target:
+class TuningTarget:
     """A part of the best tuning, as pictures show it."""
 
     label: str
@@ -178,17 +178,17 @@ def _without_logarithm(row: Row) -> Row:
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
-def targets(rows: DataSet) -> list[Target]:
+def targets(rows: DataSet) -> list[TuningTarget]:
     """Horizons and R/Q of the best tunings."""
     Np, Nc, Q, R = STANDARD
     return [
-        Target("$N_p$ (periods)", rows.tunings[:, 0], Np, whole=True),
-        Target("$N_c$ (periods)", rows.tunings[:, 1], Nc, whole=True),
-        Target(r"$\log_{10} R/Q$ (m²/rad²)", np.log10(rows.ratios), float(np.log10(R / Q))),
+        TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, whole=True),
+        TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, whole=True),
+        TuningTarget(r"$\log_{10} R/Q$ (m²/rad²)", np.log10(rows.ratios), float(np.log10(R / Q))),
     ]
 
 
-def histogram(target: Target) -> Panel:
+def histogram(target: TuningTarget) -> Panel:
     """How often each value of a target is the best."""
     values = np.append(target.values, target.standard)
     low, high = float(values.min()), float(values.max())
@@ -227,7 +227,7 @@ def optimum_maps(rows: DataSet) -> list[Panel]:
     return [_map(rows, target, label, values) for label, values in across.items() for target in targets(rows)]
 
 
-def _map(rows: DataSet, target: Target, label: str, values: Array) -> Panel:
+def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Panel:
     speed = rows.operating_points[:, 0]
     x_edges, y_edges = _bin_edges(speed), _bin_edges(values)
     columns, lines = _bin_numbers(speed, x_edges), _bin_numbers(values, y_edges)

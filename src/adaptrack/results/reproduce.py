@@ -15,7 +15,7 @@ from adaptrack.results.words import number, title_of
 
 Row = Mapping[str, Any]
 
-TOLERANCE = 0.25
+MSE_TOLERANCE = 0.25
 """A mean square error counts as reproduced when it differs from the paper's by at most this share."""
 
 NAMES = {
@@ -61,12 +61,13 @@ SHARES = (
 def reproduction_result(reproduction: Reproduction, command: str = "") -> Result:
     """The paper's experiment as a result; command: the command line that repeats it."""
     published = [row for row in _select(reproduction.rows, "released") if row["paper_mse"] is not None]
-    near = [row for row in published if row["ratio"] is not None and abs(row["ratio"] - 1.0) <= TOLERANCE]
+    near = [row for row in published if row["ratio"] is not None and abs(row["ratio"] - 1.0) <= MSE_TOLERANCE]
     failed = sum(row["failed"] for row in reproduction.rows)
     return Result(
         kind="reproduction",
         title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests",
-        answer=f"{len(near)} of the paper's {len(published)} mean square errors come out within {100 * TOLERANCE:g} %.",
+        answer=f"{len(near)} of the paper's {len(published)} mean square errors come out within "
+        f"{100 * MSE_TOLERANCE:g} %.",
         record=reproduction.as_json(),
         tables=[
             _published_table(published),

@@ -1,1 +1,1 @@
-"""Whole studies, each a pipeline of named stages: the paper's experiment, and an adaptation."""
+"""Whole studies: comparison of controllers, shadow mode, and the constant of a car."""

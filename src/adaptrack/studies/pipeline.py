@@ -1,16 +1,11 @@
-"""Pipelines: named stages, each with the identity of its result, its file and its maker.
-
-A result whose file is there and has the identity of the stage is read, not made again; so a study that was interrupted
-goes on with the first stage that is missing, and one whose method or software changed makes everything again.
-"""
+"""Results of a study as JSON files, each with the identity of what it was computed from."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,110 +13,20 @@ from typing import Any
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
-from adaptrack.control.scheduling import Schedule, load_scheduler
 from adaptrack.core.library import kernels_hash
-
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, and how many steps of how many are."""
 
 FORMAT = "adaptrack-stage"
 
 
-class Keeper(ABC):
-    """How the result of a stage is kept."""
-
-    @abstractmethod
-    def load(self, identity: str) -> Any | None:
-        """The result, or None when there is none of this identity.
-
-        Raises
-        ------
-        StorageError
-            When there is a file that cannot be read.
-        """
-
-    @abstractmethod
-    def save(self, result: Any, identity: str) -> None:
-        """Keep a result; raises StorageError when that fails."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """One step of a study."""
-
-    name: str
-    identity: str
-    """SHA-256 of all that the result depends on, see `identity_of`"""
-    make: Callable[[Mapping[str, Any]], Any]
-    """from the results of the stages before"""
-    keeper: Keeper | None = None
-    """None: the result is made in every session"""
-
-
-def run(stages: Sequence[Stage], progress: Progress | None = None) -> dict[str, Any]:
-    """The result of every stage, by name.
-
-    What was made is read back from its file, so that a study that was interrupted ends like one that was not.
-    """
-    made: dict[str, Any] = {}
-    for stage in stages:
-        result = None if stage.keeper is None else stage.keeper.load(stage.identity)
-        if result is None:
-            if progress is not None:
-                progress(stage.name, 0, 1)
-            result = stage.make(made)
-            if stage.keeper is not None:
-                stage.keeper.save(result, stage.identity)
-                result = stage.keeper.load(stage.identity)
-        made[stage.name] = result
-    return made
-
-
-def software() -> dict[str, str]:
-    """Versions of everything that has a say in the numbers; the kernels by the hash of what they compile."""
-    return {
-        "adaptrack": __version__,
-        "kernels": kernel_hash(),
-        **{name: version(name) for name in ("numpy", "scikit-learn")},
-    }
-
-
-def kernel_hash() -> str:
-    """The hash of the kernels that drive runs."""
-    return kernels_hash()
-
-
 def identity_of(stage: str, settings: Any) -> str:
     """SHA-256 of a stage's name, its settings (plain JSON) and the software."""
-    text = json.dumps([stage, settings, software()], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-# -- keepers ----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
-class SchedulerFile(Keeper):
-    """A schedule as a file of its own, with its identity and what it was made with in its provenance."""
-
-    path: Path
-    record: Mapping[str, Any]
-    """what it was made with: plain JSON"""
-    made_for: Mapping[str, Any] = field(default_factory=dict)
-    """see `Schedule.made_for`"""
-
-    def load(self, identity: str) -> Schedule | None:
-        if not self.path.exists():
-            return None
-        schedule = load_scheduler(self.path)
-        return schedule if schedule.provenance.get("stage") == identity else None
-
-    def save(self, result: Schedule, identity: str) -> None:
-        _make_folder(self.path.parent)
-        provenance = {**result.provenance, "stage": identity, **self.record}
-        replace(result, provenance=provenance, made_for=self.made_for).save(self.path)
+    libraries = {name: version(name) for name in ("numpy", "scikit-learn")}
+    software = {"adaptrack": __version__, "kernels": kernels_hash(), **libraries}
+    return hashlib.sha256(json.dumps([stage, settings, software], sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
-class JSONFile(Keeper):
+class JSONFile:
     """A result as plain JSON."""
 
     path: Path
