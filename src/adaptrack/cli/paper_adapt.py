@@ -16,7 +16,7 @@ from adaptrack.cli.show import Column
 if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
 
-COLUMNS = (
+ROUND_COLUMNS = (
     Column("contender", "contender"),
     Column("round", "best\nround", "", "whole"),
     Column("score", "log cost\nheld out", "", 4),
@@ -55,7 +55,7 @@ def adapt(given: AdaptOptions) -> None:
     if given.as_json:
         show.say_json({"schedulers": str(given.out / "schedulers"), "rows": rows})
         return
-    show.table("Schedules that learned on the closed loop", COLUMNS, rows)
+    show.table("Schedules that learned on the closed loop", ROUND_COLUMNS, rows)
     show.say(f"Schedules: {given.out / 'schedulers'}")
     line = command("paper", "evaluate", given.out, "--campaign", given.campaign, "--profile", given.profile)
     say_next("to evaluate them on new runs", line)
