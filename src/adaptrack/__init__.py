@@ -158,15 +158,7 @@ _PUBLIC = {
     "drive.world": ("Driver",),
     "drive.batch": ("rollout_batch",),
     "drive.simulate": ("rollout", "simulate"),
-    "drive.metrics": (
-        "Metrics",
-        "compute_metrics",
-    ),
-    "drive.path_metrics": (
-        "PathMetrics",
-        "PathRecord",
-        "path_metrics",
-    ),
+    "drive.metrics": ("Metrics", "PathRecord", "compute_metrics", "path_metrics"),
     "control.tracker": (
         "Status",
         "Tracker",
@@ -309,8 +301,7 @@ if TYPE_CHECKING:
     from adaptrack.core.member import CFunction
     from adaptrack.drive.batch import rollout_batch
     from adaptrack.drive.failure import Failure, find_failure
-    from adaptrack.drive.metrics import Metrics, compute_metrics
-    from adaptrack.drive.path_metrics import PathMetrics, PathRecord, path_metrics
+    from adaptrack.drive.metrics import Metrics, PathRecord, compute_metrics, path_metrics
     from adaptrack.drive.predicted import PredictedPaths
     from adaptrack.drive.simulate import rollout, simulate
     from adaptrack.drive.trajectory import Trajectory
@@ -376,7 +367,6 @@ __all__ = [
     "Moves",
     "Objective",
     "Outline",
-    "PathMetrics",
     "PathModel",
     "PathRecord",
     "Perception",
