@@ -28,7 +28,6 @@ from adaptrack.cli import (
     reproduce,
     road,
     shadow,
-    simulate,
     train,
     tune,
 )
@@ -69,7 +68,6 @@ for command in (
     identify.identify,
     shadow.shadow,
     check_loop.check_loop,
-    simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,
     lists.vehicles,

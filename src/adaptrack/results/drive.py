@@ -1,107 +1,179 @@
-"""The result of drives along a road: what came of them, the road from above, signals along it, and their replay."""
+"""The result of drives, through scenarios or along a road: one headline, tables, pictures, provenance, replay."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adaptrack.base.result import Column, Result, ResultTable, Row, where
-from adaptrack.results.answers import length, of_drives
-from adaptrack.results.drive_figures import Drives, above_picture, along_picture, labelled, learned_picture
-from adaptrack.results.record import DriveRecord
-from adaptrack.results.tables import outcomes_table
-from adaptrack.results.words import describe, few, legible, number
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import safe_names
+from adaptrack.base.result import Picture, Result, ResultTable, Row, Stroke, strokes
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.drive.failure import DISTANCE, SLOW
+from adaptrack.drive.metrics import Metrics, compute_metrics
+from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results.answers import length
+from adaptrack.results.drive_tables import (
+    Settings,
+    Shown,
+    console_table,
+    differences_table,
+    overview_table,
+    scenario_tables,
+)
+from adaptrack.results.learned_picture import learned_picture, learned_quantities
+from adaptrack.results.record import PASSENGER_CAR, DrawnCar, DriveRecord, on_road
+from adaptrack.results.road_pictures import above_picture
+from adaptrack.results.run_pictures import (
+    CREEPING,
+    as_lines,
+    conditions_picture,
+    error_panel,
+    speed_picture,
+    tracking_picture,
+)
+from adaptrack.results.words import (
+    clock,
+    controller_name,
+    describe,
+    few,
+    legible,
+    number,
+    recorded,
+    setting,
+    slug,
+    span,
+    title_of,
+)
+from adaptrack.road import Road
+from adaptrack.scenario.profile import load_profile
 
-NEAR_END = 10.0
-"""m, before its end at which an open road counts as driven to the end, and 1 % of its length."""
+_SETTINGS = ("profile", "plant", "tyre", "vehicle", "speed", "preview")
+"""Entries of a run's provenance that split a scenario's runs into separate figures."""
 
-ERRORS = (
-    Column("rms_offset", "RMS |e|", "m", 3, "root of the mean squared offset from the centre line"),
-    Column("p95_offset", "p95 |e|", "m", 3, "95th percentile of the offset"),
-    Column("max_offset", "Largest |e|", "m", 3),
-)
-BELIEF = (
-    Column("label", "Controller"),
-    Column("belief_learning", "Learning", "%", "percent"),
-    Column("belief_settled", "Settled", "%", "percent"),
-    Column("belief_at_bound", "At a bound", "%", "percent"),
-    Column("belief_contradictory", "Contradictory", "%", "percent"),
-    Column("belief_state", "In the end"),
-)
-CONSOLE = (
-    Column("controller", "controller"),
-    Column("rms_error", "RMS e", "m", 3),
-    Column("max_abs_error", "max |e|", "m", 3),
-    Column("max_corner_error", "corner |e|", "m", 3),
-    Column("in_lane", "in lane", "%", "percent"),
-    Column("max_acceleration", "max a_y", "m/s²", 3),
-    Column("driven_length", "driven", "m", "whole"),
-    Column("result", "result"),
-)
+_VARIANTS = ("moves", "tuning", "solver", "seed")
+"""Entries that tell apart runs of one controller in one figure."""
+
+_LISTED = {
+    "scenario": "Scenario",
+    "profile": "Profile",
+    "plant": "Plant",
+    "tyre": "Tyre",
+    "vehicle": "Vehicle",
+    "speed": "Speed",
+    "preview": "Preview",
+    "seed": "Seed",
+    "controller": "Controller",
+    "moves": "Moves",
+    "tuning": "Tuning",
+    "limits": "Limits",
+    "solver": "QP solver",
+    "belief": "Steering model",
+    "versions": "Versions",
+}
+"""Entries of the provenance block, with their names there."""
+
+TRACKING_CAPTION = "Position or speed, tracking error, angle of the front wheels, yaw rate or lateral acceleration. \
+Cross: failed. Grey: the command."
+CONDITIONS_CAPTION = "Lateral gust, friction and adapted tuning. Black: shared by all runs."
+SPEED_CAPTION = "Speed: profile (dashed) and driven."
+ERROR_CAPTION = "Tracking error over time."
+
+Strokes = Mapping[str, Stroke]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run as the page shows it."""
+
+    trajectory: Trajectory
+    label: str = ""
+    """Its name in legends and tables; the controller's name when left out."""
+    metrics: Metrics | None = None
+    """Its measures; computed when left out."""
+    road: Road | None = None
+    """The road that it was driven on: the page then has the road from above and a replay."""
+    car: Vehicle | DrawnCar = PASSENGER_CAR
+    """The car that is drawn on the road."""
+    predicted: PredictedPaths | None = None
+    """The paths that `simulate` kept: the replay draws them."""
 
 
 def drive_result(
-    drives: Sequence[DriveRecord], rows: Sequence[Row] = (), *, title: str = "", command: str = "", created: str = ""
+    runs: Sequence[Run | Trajectory], rows: Sequence[Row] = (), *, title: str = "", command: str = ""
 ) -> Result:
-    """Drives on one road as a result.
+    """Closed-loop runs as a result.
+
+    Runs are grouped by scenario or road, and within it by profile, plant, tyre, vehicle and preview. Runs of one
+    controller are distinguished by the entries of their provenance that differ. A label keeps its colour in all
+    pictures.
 
     Parameters
     ----------
-    drives
-        One drive, or one of each controller; controllers of one name are numbered.
     rows
-        The measures of each drive, by name.
+        The measures of each run by name, for console and JSON.
     title
-        The road and the controllers when left out.
+        When left out: the scenarios and the controllers.
     command
-        The command line that repeats the drives.
-    created
-        When they were made.
+        The command line that repeats the runs.
 
     Raises
     ------
     InvalidInput
-        When there is no drive, or they are not on one road (the same `Road` object).
+        When there is no run, or runs with a road are not all on the same one.
     """
-    shown = labelled(drives)
-    road, failed = drives[0].road, sum(bool(drive.failed) for drive in drives)
-    headline = f"{number(failed)} of {number(len(drives))} drives failed"
-    answer = outcome(drives[0]) if len(drives) == 1 else of_drives(_errors(shown), length(road.length))
-    learned = any(drive.learned for drive in drives)
+    if not runs:
+        raise InvalidInput("report: at least one run is needed.")
+    scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
+    shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
+    own = strokes(run.label for run in shown)
+    names = [(name, words) for name, settings in scenarios.items() for words in settings]
+    stems = dict(zip(names, safe_names(slug(f"{name} {words}") for name, words in names), strict=True))
+    failed = [_failed(scenarios, name, words, run) for name, words in names for run in scenarios[name][words]
+              if run.metrics.failed]  # fmt: skip
+    provenance, differences = _provenance(shown)
+    first = shown[0].trajectory
     return Result(
         kind="drive",
-        title=title or f"{legible(road.name)}: {few(shown, 'controller')}",
-        answer=answer,
+        title=title or _title(scenarios),
+        answer=_answer(shown),
         record={"rows": list(rows)},
-        tables=[*_tables(shown), *([] if not rows else [console_table(road.name, rows)])],
-        pictures=[above_picture(shown), along_picture(shown), *([learned_picture(shown)] if learned else [])],
-        failed=failed > 0,
-        headline="Failed" if failed == len(drives) else headline if failed else "",
+        tables=[
+            overview_table(scenarios),
+            *(table for name, settings in scenarios.items() for table in scenario_tables(name, settings)),
+            *differences,
+            *([console_table(f"Profile {first.name_of('profile')}", rows)] if rows else []),
+        ],
+        pictures=_pictures(scenarios, stems, own),
+        failed=bool(failed),
+        headline=_failure_headline(failed, len(shown)),
         values={
-            "drives": list(drives), "names": list(shown), "road": road, "first": drives[0],
-            "cars": _shared(drive.car for drive in drives), "profiles": _shared(drive.profile for drive in drives),
-            "speed": np.concatenate([drive.speed for drive in drives]), "outline": drives[0].shape.outline,
-            "seconds": float(drives[0].time[-1] - drives[0].time[0]),
+            "scenarios": [_section(name, settings, stems) for name, settings in scenarios.items()],
+            "failed_runs": failed, "shown": shown, "provenance": provenance,
+            "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
+                       "road_weight": load_profile("road").move_weight},
         },
         command=command,
-        created=created,
+        created=max(str(run.trajectory.meta.get("created", "")) for run in shown),
     )  # fmt: skip
 
 
 def write_drive_page(
     out_dir: str | os.PathLike[str],
-    drives: Sequence[DriveRecord],
+    runs: Sequence[Run | Trajectory],
     *,
     title: str = "",
     command: str = "",
-    created: str = "",
     png: bool = True,
 ) -> Path:
-    """Write the page on drives on one road, with its replay, and its PNG files into `out_dir`; return the page's path.
+    """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
 
     Parameters are those of `drive_result`; png: whether to write the PNG files.
 
@@ -112,74 +184,174 @@ def write_drive_page(
     StorageError
         When the files cannot be written, see `page.write_result`.
     """
+    return write_page(out_dir, drive_result(runs, title=title, command=command), png=png)
+
+
+def write_page(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:
+    """Write the page of a `drive_result`, with the replay of runs that know their road; return its path."""
     from adaptrack.results.page import write_result
     from adaptrack.results.replay import replay
 
-    result = drive_result(drives, title=title, command=command, created=created)
-    return write_result(out_dir, result, png=png, embedded={"replay": replay(labelled(drives))})
+    drives = _drives(result.values["shown"])
+    return write_result(out_dir, result, png=png, embedded={"replay": replay(drives)} if drives else None)
 
 
-def _errors(drives: Drives) -> list[dict[str, Any]]:
-    """A row a drive, as `of_drives` takes it."""
+# -- groups -----------------------------------------------------------------------------------------------------------
+def group_runs(runs: Sequence[Run]) -> dict[str, Settings]:
+    """Scenario -> setting in words -> runs, in the order given; each run with its label and measures."""
+    groups: dict[tuple[str, float], dict[str, list[Run]]] = {}
+    for run in runs:
+        # drives along a road end with their speed plan, and belong together all the same
+        duration = 0.0 if run.road is not None or run.trajectory.road else round(run.trajectory.duration, 6)
+        settings = json.dumps([run.trajectory.meta.get(entry) for entry in _SETTINGS])
+        groups.setdefault((run.trajectory.name_of("scenario"), duration), {}).setdefault(settings, []).append(run)
+    names = [name for name, _ in groups]
+    scenarios: dict[str, Settings] = {}
+    for (name, duration), by_setting in groups.items():
+        words = _tell_apart([group[0].trajectory for group in by_setting.values()], _SETTINGS)
+        settled = {text: _labelled(group) for text, group in zip(words, by_setting.values(), strict=True)}
+        scenarios[name if names.count(name) == 1 else f"{name} ({duration:g} s)"] = settled
+    return scenarios
+
+
+def _labelled(runs: Sequence[Run]) -> list[Shown]:
+    """The runs of one figure, under distinct labels."""
+    labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
+    for label in set(labels):
+        same = [i for i, other in enumerate(labels) if other == label]
+        if len(same) > 1:
+            for i, words in zip(same, _tell_apart([runs[i].trajectory for i in same], _VARIANTS), strict=True):
+                labels[i] = f"{label}, {words}" if words else label
+    return [_shown(label, run) for label, run in zip(labels, runs, strict=True)]
+
+
+def _shown(label: str, run: Run) -> Shown:
+    trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
+    outline = None if run.car is PASSENGER_CAR else run.car.outline
+    metrics = run.metrics or compute_metrics(trajectory, outline=outline)
+    drive = None if run.road is None else DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
+    return Shown(label, trajectory, metrics, drive)
+
+
+def _tell_apart(trajectories: Sequence[Trajectory], entries: Iterable[str]) -> list[str]:
+    """For each trajectory the entries in which it differs from others, in words; a number where those are equal."""
+    words: list[list[str]] = [[] for _ in trajectories]
+    for entry in entries:
+        values = [setting(entry, recorded(trajectory.meta, entry)) for trajectory in trajectories]
+        if len(set(values)) > 1:
+            for listed, value in zip(words, values, strict=True):
+                listed.append(value)
+    names = [", ".join(listed) for listed in words]
     return [
-        {"controller": label, "mse": drive.rms_offset**2, "max_abs_error": drive.max_offset, "failed": drive.failed}
-        for label, drive in drives.items()
+        f"{name} no. {names[:i].count(name) + 1}".strip() if names.count(name) > 1 else name
+        for i, name in enumerate(names)
     ]
 
 
-def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
-    """What the console shows of each drive; rows: the measures of each."""
-    return outcomes_table(title, CONSOLE, rows)
+# -- headlines --------------------------------------------------------------------------------------------------------
+def _title(scenarios: Mapping[str, Settings]) -> str:
+    """Scenarios and controllers, as long as there are few of them."""
+    labels = dict.fromkeys(run.label for settings in scenarios.values() for group in settings.values() for run in group)
+    return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
 
 
-def outcome(drive: DriveRecord) -> str:
-    """What came of a drive: how far it went, or why, when and where it failed."""
-    s, seconds = float(drive.station[-1]), float(drive.time[-1] - drive.time[0])
-    if drive.failed:
-        place = f"at {drive.failed_at:.1f} s, at s = {number(drive.failed_station, 4)} m"
-        return f"Failed {place}: the vehicle {drive.failed}."
-    length, far = drive.road.length, f"{number(s - float(drive.station[0]), 4)} m in {number(seconds)} s"
-    if drive.road.closed:
-        return f"Driven without failure: {far}, {number((s - float(drive.station[0])) / length)} laps."
-    if s < length - NEAR_END - 0.01 * length:
-        return f"Not failed, ended early: {far}; the road is {number(length, 4)} m long."
-    return f"Driven to the end: {far}."
+def _answer(shown: Sequence[Shown]) -> str:
+    """The smallest RMS error with its largest error; for several scenarios the largest error of all."""
+    kept = [run for run in shown if not run.metrics.failed]
+    failed = f"{len(shown) - len(kept)} of {len(shown)} runs failed."
+    if not kept:
+        return failed
+    best = min(kept, key=lambda run: run.metrics.mse)
+    errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
+    if len(shown) == 1:
+        return errors
+    if len({run.trajectory.name_of("scenario") for run in shown}) > 1:
+        return f"Largest error {length(max(run.metrics.max_abs_error for run in kept))}. {failed}"
+    return f"{best.label}: {errors} {failed}"
 
 
-def _shared(names: Iterable[str]) -> str:
-    return ", ".join(dict.fromkeys(describe(name) for name in names))
+def _failed(scenarios: Mapping[str, Settings], name: str, words: str, run: Shown) -> dict[str, str]:
+    """A failed run: its name, when and why."""
+    metrics = run.metrics
+    where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
+    full = ", ".join(filter(None, (title_of(name), run.label, words)))
+    return {"name": full, "at": f"{metrics.failed_at:.1f} s{where}", "because": metrics.failed_because}
 
 
-def _tables(drives: Drives) -> list[ResultTable]:
-    """A row a drive with what came of it, and a row a measure with a column a drive."""
-    errors = [column.name for column in ERRORS]
-    rows: list[dict[str, Any]] = [
-        {"label": label, "failed": bool(drive.failed), "outcome": outcome(drive)}
-        | {name: getattr(drive, name) for name in errors}
-        for label, drive in drives.items()
-    ]
-    kept = [row for row in rows if not row["failed"]]
-    best = [where(rows, [name], _smallest(name, kept)) for name in errors]
-    outcomes = ResultTable(
-        "outcomes", "Offset from the centre line",
-        (Column("label", "Controller"), *ERRORS, Column("outcome", "Outcome")), rows,
-        "Bold: the smallest among the drives that did not fail." if kept else "", best=frozenset().union(*best),
-        alert=where(rows, ["outcome"], lambda row: row["failed"]),
-    )  # fmt: skip
-    measured: dict[tuple[str, str], dict[str, Any]] = {}
-    for i, drive in enumerate(drives.values()):
-        for name, value, unit in drive.metrics:
-            empty = {"measure": name, "unit": unit} | {str(k): None for k in range(len(drives))}
-            measured.setdefault((name, unit), empty)[str(i)] = value
-    columns = [Column(str(i), label, show=3) for i, label in enumerate(drives)]
-    title = f"Of {'each' if len(drives) > 1 else 'the'} drive"
-    heads = (Column("measure", "Measure"), Column("unit", "Unit"))
-    tables = [outcomes, ResultTable("measures", title, (*heads, *columns), list(measured.values()))]
-    states: list[dict[str, Any]] = [{"label": key, **drive.belief} for key, drive in drives.items() if drive.belief]
-    if states:
-        tables.append(ResultTable("belief", "State of the belief, share of the time", BELIEF, states))
-    return tables
+def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
+    """The beginning of the page's heading; empty when no run failed."""
+    if failed and runs == 1:
+        return f"Failed at {failed[0]['at']}: the vehicle {failed[0]['because']}"
+    return f"{number(len(failed))} of {number(runs)} runs failed" if failed else ""
 
 
-def _smallest(name: str, kept: Sequence[Row]) -> Any:
-    return lambda row: not row["failed"] and row[name] == min(each[name] for each in kept)
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _drives(shown: Sequence[Shown]) -> dict[str, DriveRecord]:
+    return {run.label: run.drive for run in shown if run.drive is not None}
+
+
+def _pictures(scenarios: Mapping[str, Settings], stems: Mapping[tuple[str, str], str], own: Strokes) -> list[Picture]:
+    """The main picture first: the road from above, or the error of the first scenario; then all signals."""
+    groups = [_trajectories(group) for settings in scenarios.values() for group in settings.values()]
+    drives = _drives([run for settings in scenarios.values() for group in settings.values() for run in group])
+    error = replace(error_panel(as_lines(groups[0], own)), title="")
+    key = [(label, own[label]) for label in groups[0]]
+    pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key if key[1:] else ())]
+    speeds = {title_of(name): _trajectories(next(iter(settings.values()))) for name, settings in scenarios.items()}
+    if not any(run.road for runs in groups for run in runs.values()):
+        pictures.append(speed_picture(speeds, own, SPEED_CAPTION))
+    for runs, stem in zip(groups, stems.values(), strict=True):
+        pictures.append(tracking_picture(runs, own, f"{stem}-tracking", TRACKING_CAPTION))
+        conditions = conditions_picture(runs, own, f"{stem}-conditions", CONDITIONS_CAPTION)
+        if conditions.panels[2:] or not any(run.road for run in runs.values()):
+            pictures.append(conditions)
+        if any(learned_quantities(run) for run in runs.values()):
+            pictures.append(learned_picture(runs, own, f"{stem}-learned"))
+    return pictures
+
+
+def _trajectories(group: Sequence[Shown]) -> dict[str, Trajectory]:
+    return {run.label: run.trajectory for run in group}
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+def _section(name: str, settings: Settings, stems: Mapping[tuple[str, str], str]) -> dict[str, Any]:
+    """Names and conditions of the section on one scenario or road."""
+    runs = [run.trajectory for group in settings.values() for run in group]
+    drive = next((run.drive for group in settings.values() for run in group if run.drive is not None), None)
+    wind = np.concatenate([run.wind for run in runs])
+    first = runs[0]
+    conditions = {
+        "Duration": f"{number(first.duration)} s, {number(len(first))} control periods of {first.period:g} s",
+        "Speed": f"{span(np.concatenate([run.vx for run in runs]))} m/s",
+        "Friction": span(np.concatenate([run.friction for run in runs])),
+        "Lateral wind": f"{span(wind[:, 1])} m/s",
+        "Longitudinal wind": f"{span(wind[:, 0])} m/s",
+    }
+    if drive is not None:
+        conditions["Road"] = f"{number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
+        conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
+        body = drive.shape.outline
+        estimated = ", ".join(name.replace("_", " ") for name in body.estimated) or "nothing"
+        conditions["Drawn car"] = f"{number(body.length)} by {number(body.width)} m; estimated: {estimated}"
+    return {
+        "name": name, "title": title_of(name), "conditions": list(conditions.items()),
+        "groups": [{"title": words[:1].upper() + words[1:], "stem": stems[name, words]} for words in settings],
+    }  # fmt: skip
+
+
+def _provenance(shown: Sequence[Shown]) -> tuple[dict[str, Any], list[ResultTable]]:
+    """The entries that all runs share, each full record, and a table of where they differ."""
+    metas = [run.trajectory.meta for run in shown]
+    values = {entry: [recorded(meta, entry) for meta in metas] for entry in _LISTED}
+    present = {entry: column for entry, column in values.items() if any(value is not None for value in column)}
+    shared = {entry: column[0] for entry, column in present.items() if all(value == column[0] for value in column)}
+    differing = [(entry, _LISTED[entry]) for entry in present if entry not in shared]
+    moments = sorted({clock(str(meta["created"])) for meta in metas if "created" in meta})
+    created = [("Created", " to ".join(dict.fromkeys([moments[0], moments[-1]])))] if moments else []
+    records = {
+        f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(shown, 1)
+    }
+    terms = [*((_LISTED[entry], describe(value)) for entry, value in shared.items()), *created]
+    tables = [differences_table(shown, differing)] if differing else []
+    return {"terms": terms, "records": json.dumps(records, indent=1, ensure_ascii=False)}, tables

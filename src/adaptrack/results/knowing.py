@@ -1,4 +1,4 @@
-"""The section on what knowing the car brings, beside adapting the tuning; its sentences follow the numbers."""
+"""Table and picture of the controllers that know their car and of those that adapt their tuning."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from adaptrack.base.result import Axis, Column, Dots, Mark, Panel, Picture, Polyline, ResultTable, Stroke, strokes
-from adaptrack.results.words import listed, number, title_of
+from adaptrack.results.words import number, title_of
 
 Row = Mapping[str, Any]
 
@@ -19,62 +19,6 @@ NAMES = {
     "road-nn": "Published MPC, guarded NN learned here",
     "informed": "Informed constant",
 }
-SHORT = {
-    "nn": "the paper's NN",
-    "anfis": "the paper's ANFIS",
-    "road-constant": "the published MPC with the constant tuned in this profile",
-    "road-nn": "the published MPC with the guarded NN learned in this profile",
-    "standard-as-written": "the published constant as written",
-    "standard-as-released": "the published constant as released",
-}
-
-
-def outcome(rows: Sequence[Row], profile: str) -> str:
-    """How the informed constant compares with the best of the others in a profile, and who failed."""
-    parts = []
-    own = [row for row in rows if row["profile"] == profile]
-    for test, found in _by(own, "scenario").items():
-        named = {row["controller"]: row for row in found}
-        informed, kept = named["informed"], [row for row in found if not row["failed"] and row["controller"] in SHORT]
-        if informed["failed"]:
-            parts.append(f"on the {_test(test)} it fails in {informed['failed']} of {informed['runs']} runs")
-        elif not kept:
-            parts.append(f"on the {_test(test)} it alone stays on the road")
-        else:
-            best = min(kept, key=lambda row: row["mse"])
-            parts.append(
-                f"on the {_test(test)} its mean square error is {number(informed['mse'])} m², that of the best other, "
-                f"{SHORT[best['controller']]}, {number(best['mse'])} m²"
-            )
-    failed_with = [SHORT[name] for name in SHORT if any(row["failed"] for row in own if row["controller"] == name)]
-    failing = f" Runs fail with {listed(failed_with)}." if failed_with else ""
-    return f"Profile {profile}, the informed constant: {'; '.join(parts)}.{failing}"
-
-
-def in_a_sentence(rows: Sequence[Row]) -> str:
-    """For the top of the page: the informed constant's error beside that of the better of the paper's adaptations."""
-    parts = []
-    for profile, driven in _by(rows, "profile").items():
-        ratios, alone, failed_tests = [], [], []
-        for test, found in _by(driven, "scenario").items():
-            named = {row["controller"]: row for row in found}
-            kept = [row["mse"] for name, row in named.items() if name in ("nn", "anfis") and not row["failed"]]
-            if named["informed"]["failed"]:
-                failed_tests.append(f"the {_test(test)}")
-            elif not kept:
-                alone.append(f"the {_test(test)}")
-            else:
-                ratio = number(float(f"{named['informed']['mse'] / min(kept):.2g}"), 2)
-                ratios.append(f"{ratio} ({_test(test)})")
-        words = []
-        if ratios:
-            words.append(f"its mean square error is {listed(ratios)} times that of the better adaptation of the paper")
-        if alone:
-            words.append(f"it keeps the car on {listed(alone)}, where both adaptations of the paper fail")
-        if failed_tests:
-            words.append(f"it fails on {listed(failed_tests)}")
-        parts.append(f"in profile {profile} {', '.join(words)}")
-    return f"One constant tuning that knows its car: {'; '.join(parts)}."
 
 
 def knowing_table(rows: Sequence[Row]) -> ResultTable:
@@ -149,7 +93,3 @@ def _by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
         place = tuple(row[key] for key in keys)
         found.setdefault(place if len(keys) > 1 else place[0], []).append(row)
     return found
-
-
-def _test(name: str) -> str:
-    return title_of(name).lower()

@@ -25,8 +25,8 @@ from adaptrack.base.result import (
     strokes,
 )
 from adaptrack.results.dots import Dot, dots_panel
-from adaptrack.results.knowing import in_a_sentence, knowing_picture, knowing_table, outcome, profiles
-from adaptrack.results.runs import Run, runs_result
+from adaptrack.results.drive import Run, drive_result
+from adaptrack.results.knowing import knowing_picture, knowing_table
 from adaptrack.results.words import capital, listed, number, title_of
 from adaptrack.studies.reproduce import LEARNED, Reproduction
 
@@ -83,10 +83,9 @@ SHARES = (
 
 def reproduction_result(made: Reproduction, command: str = "") -> Result:
     """The paper's experiment as a result, with its runs; command: the command line that makes it again."""
-    runs = runs_result(
+    runs = drive_result(
         [Run(run, label=NAMES[label]) for label, run in made.runs],
         title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests", command=command,
-        introduction=in_short(made),
     )  # fmt: skip
     near, far = reproduced(made.rows, "released")
     within = f"{100 * AGREES:g} %"
@@ -113,7 +112,7 @@ def reproduction_result(made: Reproduction, command: str = "") -> Result:
             **runs.values, "made": made, "constant": made.constant, "within": within, "same": capital(same),
             "outcomes": {name: _outcomes(made.rows, name) for name in CONFIGURATIONS},
             "preview": preview_or_adaptation(made.rows), "pole": pole_or_adaptation(made.shares),
-            "knowing": [outcome(made.knowing, name) for name in profiles(made.knowing)],
+            "introduction": in_short(made),
             "tuning": _tuning(made), "noise": _unexplained(made.learning), "elsewhere": _elsewhere(made),
             "ahead": f"{100 * (made.constant.cost / made.constant.swarm_cost - 1.0):.1f}",
             "reproduced": listed([
@@ -158,7 +157,6 @@ def in_short(made: Reproduction) -> list[str]:
     introduction = [
         f"{agreement(made.rows, 'released')} {pole_or_adaptation(made.shares)}".strip(),
         "The same moves for all: " + against(made.rows, "same-moves", "standard-as-written"),
-        in_a_sentence(made.knowing),
         "The comparison with the paper comes first. The figures after it show the released configuration without "
         "preview; what the gain is made of and what was learned come last.",
     ]

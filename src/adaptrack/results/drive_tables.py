@@ -1,9 +1,10 @@
-"""The measures of closed-loop runs as tables: a row per controller and setting."""
+"""The measures of closed-loop runs as tables: a row per controller and setting, the best value bold."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from adaptrack.base.result import Column, ResultTable, Row, where
 from adaptrack.drive.metrics import Metrics, published_mse
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results.record import DriveRecord
 from adaptrack.results.words import capital, describe, number, recorded, title_of
 
 
@@ -23,20 +25,25 @@ class Shown:
     label: str
     trajectory: Trajectory
     metrics: Metrics
+    drive: DriveRecord | None = None
+    """beside its road, for the road from above and the replay"""
 
 
 Settings = Mapping[str, Sequence[Shown]]
-"""The runs of one scenario: what tells a setting from the others, in words -> its runs."""
+"""The runs of one scenario or road by setting; the key names what differs between settings."""
 
 _CONTROLLER = Column("label", "Controller")
-_BOLD = "Bold: the smallest MSE of a setting, among the runs that did not fail."
+_BOLD = "Bold: the smallest of a setting, among the runs that did not fail."
 
 TRACKING = (
     Column("mse", "MSE", "m²", 3),
     Column("paper", "Paper", "m²", "given"),
     Column("ratio", "Ours", "/ paper", 3),
-    Column("rms_error", "RMS error", "m", 3),
-    Column("max_abs_error", "Max |error|", "m", 3),
+    Column("rms_error", "RMS |e|", "m", 3),
+    Column("p95_error", "p95 |e|", "m", 3, "95th percentile of the error"),
+    Column("max_abs_error", "Max |e|", "m", 3),
+    Column("max_corner_error", "Corner", "max, m", 3),
+    Column("in_lane", "In lane", "% of time", "percent"),
     Column("outcome", "Failed"),
 )
 EFFORT = (
@@ -45,9 +52,11 @@ EFFORT = (
     Column("heading_max", "Heading max", "rad (°)", "degrees"),
     Column("steering_rms", "Command RMS", "rad (°)", "degrees"),
     Column("steering_rate_rms", "Command rate RMS", "rad/s (°/s)", "degrees"),
+    Column("reversals", "Reversals", "1/min", 3),
     Column("lateral_acceleration_rms", "Lateral acc. RMS", "m/s²", 3),
     Column("lateral_acceleration_max", "Lateral acc. max", "m/s²", 3),
     Column("jerk_rms", "Jerk RMS", "m/s³", 3),
+    Column("jerk_r79", "Jerk R79", "m/s³", 3),
     Column("cost", "Cost J", "m²", 3),
 )
 SOLVER = (
@@ -60,19 +69,45 @@ SOLVER = (
     Column("qp_failed", "QPs", "failed"),
     Column("held", "Held", "steps"),
     Column("dead_reckoning", "No position", "steps"),
+    Column("dead_reckoning_max", "No position", "longest, s", 3),
     Column("qp_residual_max", "KKT residual", "largest", "power"),
     Column("qp_iterations_mean", "Iterations", "mean", 3),
+    Column("prediction_error_half", "Prediction", "0.5 s, m", 3),
+    Column("prediction_error_one", "Prediction", "1 s, m", 3),
     Column("step_us_p50", "Step p50", "µs", 3),
     Column("step_us_p99", "Step p99", "µs", 3),
     Column("step_us_p999", "Step p99.9", "µs", 3),
     Column("step_us_max", "Step max", "µs", 3),
+)
+OPTIONAL = (
+    "paper", "ratio", "p95_error", "max_corner_error", "in_lane", "reversals", "jerk_r79", "dead_reckoning",
+    "dead_reckoning_max", "prediction_error_half", "prediction_error_one",
+)  # fmt: skip
+"""Columns that are left out where no run has a value."""
+BELIEF = (
+    _CONTROLLER,
+    Column("belief_learning", "Learning", "%", "percent"),
+    Column("belief_settled", "Settled", "%", "percent"),
+    Column("belief_at_bound", "At a bound", "%", "percent"),
+    Column("belief_contradictory", "Contradictory", "%", "percent"),
+    Column("belief_state", "At the end"),
+)
+CONSOLE = (
+    Column("scenario", "driven"),
+    Column("controller", "controller"),
+    Column("mse", "MSE", "m²"),
+    Column("rms_error", "RMS e", "m", 3),
+    Column("max_abs_error", "max |e|", "m", 3),
+    Column("in_lane", "in lane", "%", "percent"),
+    Column("step_us_p50", "step", "µs", "whole"),
+    Column("result", "result"),
 )
 _TROUBLES = ("qp_capped", "qp_failed", "held")
 """Counts that should be zero."""
 
 
 def rows_of(settings: Settings) -> list[dict[str, Any]]:
-    """A row for each run of a scenario: its measures, its tuning and the paper's error beside its own."""
+    """A row for each run of a scenario: its measures, its tuning and the paper's error."""
     best = _best(settings)
     return [_row(run, words, id(run) in best) for words, runs in settings.items() for run in runs]
 
@@ -81,59 +116,81 @@ def _row(run: Shown, words: str, best: bool) -> dict[str, Any]:
     metrics, paper = run.metrics, published_mse(run.trajectory)
     row = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(metrics)}
     if "qp_status" not in run.trajectory.diagnostics:  # the controller solves no QP
-        row |= {name: None for name in row if name in ("qp_solved", "qp_capped", "qp_failed")}
+        row |= dict.fromkeys(("qp_solved", "qp_capped", "qp_failed"))
     return row | {
-        "label": run.label, "setting": capital(words), "cost": metrics.cost, "best": best, "paper": paper,
+        "label": run.label, "setting": capital(words), "best": best, "paper": paper,
         "ratio": None if paper is None else metrics.mse / paper,
+        "dead_reckoning": metrics.dead_reckoning or None,
         "outcome": f"at {metrics.failed_at:.1f} s" if metrics.failed else "no",
         "tuning": {name: _range(_driven(run.trajectory, name)) for name in run.trajectory.tuning},
     }  # fmt: skip
 
 
 def scenario_tables(name: str, settings: Settings) -> list[ResultTable]:
-    """Tracking, effort and solver of the runs of one scenario; each table is named after it."""
+    """Tracking, effort, solver and belief of the runs of one scenario or road; each table is named after it."""
     shown = [run for runs in settings.values() for run in runs]
     entries = _entries(shown)
     rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in rows_of(settings)]
-    bold = where(rows, ["mse"], lambda row: row["best"])
-    paper = any(row["paper"] is not None for row in rows)
-    tracking = [_CONTROLLER, *(each for each in TRACKING if paper or each.name not in ("paper", "ratio"))]
+    bold = where(rows, ["mse", "rms_error"], lambda row: row["best"])
+    tracking = [_CONTROLLER, *_with_values(TRACKING, rows)]
     tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
-    reckoned = any(row["dead_reckoning"] for row in rows)
-    solver = [each for each in SOLVER if reckoned or each.name != "dead_reckoning"]
-    troubles = [where(rows, [key], _positive(key)) for key in _TROUBLES]
-    return [
+    troubles = [where(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
+    tables = [
         ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", "setting", bold,
                     where(rows, ["outcome"], lambda row: row["failed"])),
-        ResultTable(f"{name} effort", "Heading, effort and comfort", EFFORT, rows, group="setting"),
-        ResultTable(f"{name} solver", "Limits, solver and time", solver, rows, _about_times(shown), "setting",
-                    alert=frozenset().union(*troubles)),
+        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT, rows), rows, group="setting"),
+        ResultTable(f"{name} solver", "Limits, solver and time", _with_values(SOLVER, rows), rows,
+                    "A dash: not measured.", "setting", alert=frozenset().union(*troubles)),
     ]  # fmt: skip
+    learners = [row for row in rows if row["belief_state"]]
+    if learners:
+        title = "State of the learned quantities, share of the time"
+        tables.append(ResultTable(f"{name} belief", title, BELIEF, learners, group="setting"))
+    return tables
+
+
+def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
+    """The columns without those that are optional and have no value."""
+    return [
+        column for column in columns if column.name not in OPTIONAL or any(_exists(row[column.name]) for row in rows)
+    ]
+
+
+def _exists(value: Any) -> bool:
+    return value is not None and not (isinstance(value, float) and math.isnan(value))
 
 
 def overview_table(scenarios: Mapping[str, Settings]) -> ResultTable:
-    """The MSE of every controller and setting on every scenario, beside the paper's."""
+    """The MSE of every controller and setting on every scenario, with the paper's."""
     rows: dict[tuple[str, str], dict[str, Any]] = {}
-    empty = {f"{kind} {name}": None for name in scenarios for kind in ("mse", "paper", "best", "failed")}
+    best, failed = set(), set()
+    empty = {f"{kind} {name}": None for name in scenarios for kind in ("mse", "paper")}
     for name, settings in scenarios.items():
         for row in rows_of(settings):
-            mine = rows.setdefault((row["setting"], row["label"]), {**empty, "setting": row["setting"]})
+            key = (row["setting"], row["label"])
+            entry = rows.setdefault(key, {**empty, "setting": row["setting"], "label": row["label"]})
             mse = f"{number(row['mse'])} (failed)" if row["failed"] else row["mse"]
-            mine |= {"label": row["label"], f"mse {name}": mse, f"paper {name}": row["paper"],
-                     f"best {name}": row["best"], f"failed {name}": row["failed"]}  # fmt: skip
+            entry |= {f"mse {name}": mse, f"paper {name}": row["paper"]}
+            if row["best"]:
+                best.add((key, f"mse {name}"))
+            if row["failed"]:
+                failed.add((key, f"mse {name}"))
     columns = [_CONTROLLER]
     for name in scenarios:
-        columns += [
-            Column(f"mse {name}", title_of(name), "MSE, m²", 3),
-            Column(f"paper {name}", "Paper", "m²", "given"),
-        ]
-    found = list({words: None for words, _ in rows})
-    shown = [rows[key] for words in found for key in rows if key[0] == words]
-    bold = frozenset().union(*(where(shown, [f"mse {name}"], _entry(f"best {name}")) for name in scenarios))
-    failed = frozenset().union(*(where(shown, [f"mse {name}"], _entry(f"failed {name}")) for name in scenarios))
+        columns += [Column(f"mse {name}", title_of(name), "MSE, m²", 3)]
+        if any(row[f"paper {name}"] is not None for row in rows.values()):
+            columns += [Column(f"paper {name}", "Paper", "m²", "given")]
+    places = {key: i for i, key in enumerate(sorted(rows, key=lambda key: _first(key[0], rows)))}
+    marked = [frozenset((places[key], column) for key, column in marks) for marks in (best, failed)]
+    shown = [rows[key] for key in places]
     return ResultTable(
-        "overview", "Mean square tracking error", columns, shown, _BOLD if bold else "", "setting", bold, failed
+        "overview", "Mean square tracking error", columns, shown, _BOLD if best else "", "setting", *marked
     )
+
+
+def _first(setting: str, keys: Iterable[tuple[str, str]]) -> int:
+    """The place of a setting among all, in the order in which they occur."""
+    return list(dict.fromkeys(words for words, _ in keys)).index(setting)
 
 
 def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]]) -> ResultTable:
@@ -145,22 +202,20 @@ def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]])
     return ResultTable("differences", "Where the runs differ", columns, rows)
 
 
-def _entry(name: str) -> Callable[[Row], Any]:
-    return lambda row: row[name]
-
-
-def _positive(name: str) -> Callable[[Row], bool]:
-    return lambda row: bool(row[name])
+def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
+    """The table that the console prints; rows: the measures of each run, with `scenario` and `controller`."""
+    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", title, CONSOLE, shown, brief=True)
 
 
 def _best(settings: Settings) -> set[int]:
     """The ids of the runs with the smallest MSE of their setting; none where there is no choice."""
-    found = set()
+    best = set()
     for runs in settings.values():
         kept = [run for run in runs if not run.metrics.failed]
         if len(runs) > 1 and kept:
-            found.add(id(min(kept, key=lambda run: run.metrics.mse)))
-    return found
+            best.add(id(min(kept, key=lambda run: run.metrics.mse)))
+    return best
 
 
 def _entries(shown: Iterable[Shown]) -> dict[str, str]:
@@ -180,18 +235,5 @@ def _range(values: NDArray[Any]) -> float | tuple[float, float] | None:
     """One value where it stayed, the range where it was adapted; whole numbers as such."""
     if not values.size:
         return None
-    low, high = (int(each) if each.is_integer() else each for each in (float(values.min()), float(values.max())))
+    low, high = (int(end) if end.is_integer() else end for end in (float(values.min()), float(values.max())))
     return low if low == high else (low, high)
-
-
-def _about_times(shown: Sequence[Shown]) -> str:
-    untimed = [run.label for run in shown if np.isnan(run.metrics.step_us_p50)]
-    if len(untimed) == len(shown):
-        return "Step times were not measured."
-    return "A dash: not measured." if untimed else ""
-
-
-def outcomes_table(title: str, columns: Sequence[Column], rows: Sequence[Row]) -> ResultTable:
-    """What the console shows of runs, each with its `result`: failed or ok."""
-    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", title, columns, shown, brief=True)
