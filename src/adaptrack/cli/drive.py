@@ -157,7 +157,7 @@ def _drive(settings: options.DriveSettings, loop: Loop) -> Iterator[Run]:
                 run.save(out / f"{file}.parquet")
             interrupt.kept(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
             measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
-            yield Run(run, label, measures, places.road and places.road.road, loop.car, paths)
+            yield Run(run, label, measures, None if places.road is None else places.road.road, loop.car, paths)
 
 
 # -- output -----------------------------------------------------------------------------------------------------------
@@ -213,10 +213,10 @@ def _result(given: DriveOptions, loop: Loop, runs: Sequence[Run], rows: Sequence
         for row in rows if row["qp_capped"] + row["qp_failed"]
     ]  # fmt: skip
     notes += _stiffness_notes(loop) if result.failed else []
-    learners = [labelled for labelled in loop.drivers if labelled[1].learner is not None]
+    tables = [_learned_table(*labelled) for labelled in loop.drivers if labelled[1].learner is not None]
     limits = None if plan is None else limits_record(plan)
     return replace(
-        result, tables=[*result.tables, *(_learned_table(*labelled) for labelled in learners)], notes=[note for note in notes if note],
+        result, tables=[*result.tables, *tables], notes=[note for note in notes if note],
         record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(given, loop.places, rows)),
     )  # fmt: skip
 

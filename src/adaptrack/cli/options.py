@@ -64,7 +64,7 @@ def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int 
     return check
 
 
-Vehicle = Annotated[str, Option("--vehicle", metavar="CAR", help="A name of `vehicles`, or a .toml file.")]
+Vehicle = Annotated[str, Option("--vehicle", metavar="CAR", help="Name (see `vehicles`) or .toml file.")]
 Plant = Annotated[
     str,
     Option(

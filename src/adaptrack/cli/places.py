@@ -176,8 +176,8 @@ def _csv_marks(file: Path) -> tuple[list[str], list[str]]:
     except OSError:
         return [], []  # the reader of roads says why it cannot be read
     columns = [word.strip().lower() for word in first.replace(";", ",").split(",")]
-    scenario = [name for name in ("t", "y_ref") if name in columns]
-    return scenario if len(scenario) == 2 else [], [name for name in ("x", "y", "x_m", "y_m") if name in columns]
+    scenario = ["t", "y_ref"] if {"t", "y_ref"} <= set(columns) else []
+    return scenario, [name for name in ("x", "y", "x_m", "y_m") if name in columns]
 
 
 def scenario_options(words: Sequence[str]) -> dict[str, Any]:

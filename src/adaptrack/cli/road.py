@@ -70,7 +70,7 @@ class RoadOptions:
         Option(
             "--road-seed",
             metavar="N",
-            help="Generated: which road; `tune`, `evaluate`: several.",
+            help="Generated: number of the road.",
         ),
     ] = None
     length: Annotated[float | None, Option("--length", metavar="M", help="Generated: length (m), by default 2000.")] = (

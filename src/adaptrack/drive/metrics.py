@@ -363,7 +363,7 @@ def path_metrics(
     )
 
 
-def _path_measures(record: PathRecord, outline: Outline, lane_width: float, steering_ratio: float) -> dict[str, float]:
+def _path_measures(record: PathRecord, outline: Outline, lane_width: float, steering_ratio: float) -> dict[str, Any]:
     """The measures that need the car's outline, by the names of `Metrics`."""
     t, offset, acceleration, angle = record.t, record.offset, record.lateral_acceleration, record.wheel_angle
     with np.errstate(invalid="ignore", over="ignore"):
@@ -392,7 +392,7 @@ def _path_measures(record: PathRecord, outline: Outline, lane_width: float, stee
 
 
 # -- beliefs and the paper's numbers ----------------------------------------------------------------------------------
-def belief_shares(trajectory: Trajectory) -> dict[str, float]:
+def belief_shares(trajectory: Trajectory) -> dict[str, Any]:
     """Share of the driven control periods in each state of what is learned, by `Metrics`' names; NaN: nothing is."""
     states = trajectory.diagnostics.get("belief_state", _NOTHING)
     known = states[np.isfinite(trajectory.command)] if states.size else states

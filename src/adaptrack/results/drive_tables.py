@@ -181,10 +181,10 @@ def overview_table(scenarios: Mapping[str, Settings]) -> ResultTable:
         if any(row[f"paper {name}"] is not None for row in rows.values()):
             columns += [Column(f"paper {name}", "Paper", "m²", "given")]
     places = {key: i for i, key in enumerate(sorted(rows, key=lambda key: _first(key[0], rows)))}
-    marked = [frozenset((places[key], column) for key, column in marks) for marks in (best, failed)]
+    bold, alert = (frozenset((places[key], column) for key, column in marks) for marks in (best, failed))
     shown = [rows[key] for key in places]
     return ResultTable(
-        "overview", "Mean square tracking error", columns, shown, _BOLD if best else "", "setting", *marked
+        "overview", "Mean square tracking error", columns, shown, _BOLD if best else "", "setting", bold, alert
     )
 
 
