@@ -79,13 +79,13 @@ def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
 @pytest.mark.parametrize(
     ("command", "answer", "then"),
     [
-        (["simulate", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS on sine, largest ", ["simulate"]),
-        (["simulate", "sine", "step", "-o", "duration=1.0"], r"None of 2 runs failed; the largest", ["simulate"]),
+        (["drive", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS on sine, largest ", ["drive"]),
+        (["drive", "sine", "step", "-o", "duration=1.0"], r"None of 2 runs failed; the largest", ["drive"]),
         (["road", "check", "mountain"], r"The road can be driven: 2.17 km, tightest radius 10.4 m, ", ["drive"]),
         (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
         (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
         (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
-        (["scenarios"], "7 scenarios", ["simulate"]),
+        (["scenarios"], "7 scenarios", ["drive"]),
         (["schedulers"], "12 schedulers", ["certify"]),
         (["dataset", "list"], r"\d+ data sets", ["dataset", "describe"]),
     ],

@@ -65,7 +65,7 @@ def test_who_learns_is_told_nothing_of_the_steering_by_the_profile(profile):
 
 def test_a_drive_that_learns_does_not_begin_with_the_simulated_lag():
     done = CliRunner().invoke(
-        app, ["simulate", "lane-change", "--profile", "production", "--learn", "--controller", "informed"]
+        app, ["drive", "lane-change", "--profile", "production", "--learn", "--controller", "informed"]
     )
     assert done.exit_code == 0, done.output
     assert "informed learns, as given: lag " in done.output

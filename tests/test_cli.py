@@ -35,7 +35,7 @@ def run(monkeypatch, capsys, *arguments):
 
 def test_json_is_one_object_with_a_row_per_controller_and_scenario(monkeypatch, capsys):
     code, out, _ = run(
-        monkeypatch, capsys, "simulate", "step", "sine", "--controller", "as-written", "--controller", "as-released",
+        monkeypatch, capsys, "drive", "step", "sine", "--controller", "as-written", "--controller", "as-released",
         "-o", "duration=2.0", "--json",
     )  # fmt: skip
     rows = json.loads(out)["rows"]
@@ -52,7 +52,7 @@ def test_the_profile_decides_period_and_preview_unless_told_otherwise(monkeypatc
         (["--profile", "road"], 0.05, True),
         (["--profile", "road", "--no-preview", "--period", "0.1"], 0.1, False),
     ):
-        _, out, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--json", *arguments)
+        _, out, _ = run(monkeypatch, capsys, "drive", "sine", "-o", "duration=1.0", "--json", *arguments)
         (row,) = json.loads(out)["rows"]
         assert (row["period"], row["preview"]) == (period, preview)
 
@@ -60,7 +60,7 @@ def test_the_profile_decides_period_and_preview_unless_told_otherwise(monkeypatc
 @pytest.mark.drawn
 def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(monkeypatch, capsys, tmp_path):
     out = tmp_path / "a" / "b"
-    asked = ["simulate", "sine", "-o", "duration=2.0", "--out", out]
+    asked = ["drive", "sine", "-o", "duration=2.0", "--out", out]
     assert run(monkeypatch, capsys, *asked)[0] == 0
     assert {path.name for path in out.iterdir()} == {"index.html", "sine-informed.parquet"}
     assert run(monkeypatch, capsys, *asked, "--png")[0] == 0
@@ -72,26 +72,26 @@ def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(mo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["simulate", "triple-lane-chnage"], ["triple-lane-change"]),
-        (["simulate", "step", "--vehicle", "papr"], ["paper"]),
-        (["simulate", "step", "--tyre", "magic"], ["magic-formula"]),
-        (["simulate", "step", "--png"], ["--png", "--out"]),
+        (["drive", "triple-lane-chnage"], ["triple-lane-change"]),
+        (["drive", "step", "--vehicle", "papr"], ["paper"]),
+        (["drive", "step", "--tyre", "magic"], ["magic-formula"]),
+        (["drive", "step", "--png"], ["--png", "--out"]),
         (["drive", "mountain", "--png"], ["--png", "--out"]),
-        (["simulate", "step", "--np", "5", "--nc", "8"], ["Nc = 8", "Np = 5"]),
-        (["simulate", "step", "--r", "0"], ["R = 0.0", "positive"]),
-        (["simulate", "step", "--solver", "hildret"], ["hildreth"]),
-        (["simulate", "step", "--laguerre-pole", "1.5", "--moves", "laguerre"], ["pole"]),
-        (["simulate", "step", "-o", "amplitud=3"], ["amplitude"]),
-        (["simulate", "step", "-o", "amplitude"], ["KEY=VALUE"]),
-        (["simulate", "step", "-o", "friction=80"], ["friction"]),
-        (["simulate", "no-such-file.toml"], ["no-such-file.toml"]),
-        (["simulate", "step", "--controller", "as-relased"], ["Did you mean 'as-released'"]),
-        (["simulate", "step", "--period", "0"], ["period = 0.0 s", "must be a finite number > 0"]),
-        (["simulate", "step", "--period", "-0.1"], ["period = -0.1 s", "must be a finite number > 0"]),
-        (["simulate", "step", "--period", "nan"], ["period = nan s", "must be a finite number > 0"]),
-        (["simulate", "step", "--period", "1e-9"], ["2,000,000 are possible"]),
-        (["simulate", "step", "--np", "1000000000"], ["Np = 1000000000", "at most 1,000"]),
-        (["simulate", "step", "-o", "speed=1e15"], ["at most 100 m/s"]),
+        (["drive", "step", "--np", "5", "--nc", "8"], ["Nc = 8", "Np = 5"]),
+        (["drive", "step", "--r", "0"], ["R = 0.0", "positive"]),
+        (["drive", "step", "--solver", "hildret"], ["hildreth"]),
+        (["drive", "step", "--laguerre-pole", "1.5", "--moves", "laguerre"], ["pole"]),
+        (["drive", "step", "-o", "amplitud=3"], ["amplitude"]),
+        (["drive", "step", "-o", "amplitude"], ["KEY=VALUE"]),
+        (["drive", "step", "-o", "friction=80"], ["friction"]),
+        (["drive", "no-such-file.toml"], ["no-such-file.toml"]),
+        (["drive", "step", "--controller", "as-relased"], ["Did you mean 'as-released'"]),
+        (["drive", "step", "--period", "0"], ["period = 0.0 s", "must be a finite number > 0"]),
+        (["drive", "step", "--period", "-0.1"], ["period = -0.1 s", "must be a finite number > 0"]),
+        (["drive", "step", "--period", "nan"], ["period = nan s", "must be a finite number > 0"]),
+        (["drive", "step", "--period", "1e-9"], ["2,000,000 are possible"]),
+        (["drive", "step", "--np", "1000000000"], ["Np = 1000000000", "at most 1,000"]),
+        (["drive", "step", "-o", "speed=1e15"], ["at most 100 m/s"]),
         (["evaluate-schedules", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
         (["evaluate-schedules", "--drives", "-5"], ["--drives = -5", "at least 1"]),
         (["evaluate-schedules", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
@@ -110,7 +110,7 @@ def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, c
 
 def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, capsys, tmp_path):
     (tmp_path / "file").write_text("")
-    code, _, err = run(monkeypatch, capsys, "simulate", "step", "--out", tmp_path / "file" / "folder")
+    code, _, err = run(monkeypatch, capsys, "drive", "step", "--out", tmp_path / "file" / "folder")
     assert code == 2
     assert "cannot be written" in err
 
@@ -124,7 +124,7 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
         ("evaluate town --length 200 --out {file}", "adaptrack.road.load_road"),
         ("road plot town --out {file}.png", "adaptrack.road.load_road"),
         ("drive town --length 200 --learned {file}.toml", "adaptrack.road.load_road"),
-        ("simulate step --learned {file}.toml", "adaptrack.drive.simulate.simulate"),
+        ("drive step --learned {file}.toml", "adaptrack.drive.simulate.simulate"),
         ("train --data paper-grid --model nn --out {file}.json", "adaptrack.learning.training.train"),
     ],
 )
@@ -147,7 +147,7 @@ def test_a_folder_for_a_result_is_made_and_a_folder_in_its_place_is_refused(tmp_
 
 
 # -- runs that failed -------------------------------------------------------------------------------------------------
-FAILING = ["simulate", "step", "-o", "friction=0.1", "-o", "speed=30", "-o", "wind=60", "-o", "duration=8"]
+FAILING = ["drive", "step", "-o", "friction=0.1", "-o", "speed=30", "-o", "wind=60", "-o", "duration=8"]
 
 
 def test_a_run_that_failed_is_loud_and_says_when_and_why(monkeypatch, capsys):
@@ -180,7 +180,7 @@ def test_a_failed_run_may_be_allowed(monkeypatch, capsys):
     assert "FAILED" in err
 
 
-OFF_ROAD = ["simulate", "general-trajectory", "--profile", "road", "-o", "duration=15"]
+OFF_ROAD = ["drive", "general-trajectory", "--profile", "road", "-o", "duration=15"]
 
 
 def test_a_run_off_the_road_gives_exit_code_3_and_a_page_whose_heading_says_so(monkeypatch, capsys, tmp_path):
@@ -200,7 +200,7 @@ def test_a_failed_car_whose_model_and_tyre_disagree_is_told_the_remedy(monkeypat
     numbers = {"mass": 1500.0, "yaw_inertia": 2500.0, "lf": 1.1, "lr": 1.6, "stiffness_front": 15000.0,
                "stiffness_rear": 60000.0}  # fmt: skip
     (tmp_path / "soft.toml").write_text("".join(f"{name} = {value}\n" for name, value in numbers.items()))
-    asked = ["simulate", "double-lane-change", "-o", "speed=27", "--profile", "road", "--vehicle"]
+    asked = ["drive", "double-lane-change", "-o", "speed=27", "--profile", "road", "--vehicle"]
     code, out, _ = run(monkeypatch, capsys, *asked, tmp_path / "soft.toml")
     assert code == 3
     assert re.search(r"believes 15000 and 60000 N/rad.* has 79\d+ and 59\d+\..*stiffness_front.*matched_to", out)
@@ -210,7 +210,7 @@ def test_a_failed_car_whose_model_and_tyre_disagree_is_told_the_remedy(monkeypat
 
 
 def test_an_informed_run_says_what_it_believes_of_the_steering_and_who_says_so(monkeypatch, capsys):
-    asked = ["simulate", "sine", "-o", "duration=1.0", "--profile", "road"]
+    asked = ["drive", "sine", "-o", "duration=1.0", "--profile", "road"]
     code, out, _ = run(monkeypatch, capsys, *asked, "--vehicle", "midsize-sedan")
     assert code == 0
     assert "lag 0.15 s, dead time 0 s, computation 0.05 s (profile road)" in out
@@ -223,7 +223,7 @@ def test_an_informed_run_says_what_it_believes_of_the_steering_and_who_says_so(m
 
 
 def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):
-    code, out, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--json")
+    code, out, _ = run(monkeypatch, capsys, "drive", "sine", "-o", "duration=1.0", "--json")
     (row,) = json.loads(out)["rows"]
     assert code == 0
     assert (row["failed"], row["failed_at"], row["failed_because"]) == (None, None, None)
@@ -237,7 +237,7 @@ def test_tables_call_a_scheduler_as_the_command_line_does(monkeypatch, capsys, t
     Constant(Tuning(30, 5, 1.0, 4000.0), name="nn").save(tmp_path / "mine.json")
     for given, label in (("road-nn", "road-nn"), (tmp_path / "mine.json", "mine")):
         _, out, err = run(
-            monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--scheduler", given, "--json",
+            monkeypatch, capsys, "drive", "sine", "-o", "duration=1.0", "--scheduler", given, "--json",
             "--controller", "standard", "--controller", "as-written",
         )  # fmt: skip
         rows = json.loads(out)["rows"]
@@ -263,7 +263,7 @@ def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, 
     assert all(row.keys() >= {"r2", "rmse", "ceiling_r2", "ceiling_rmse", "seconds"} for row in told["rows"])
 
     code, printed, err = run(
-        monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--scheduler", out, "--out", tmp_path, "--json"
+        monkeypatch, capsys, "drive", "sine", "-o", "duration=2.0", "--scheduler", out, "--out", tmp_path, "--json"
     )
     assert code == 0, err
     assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "fuzzy")]
@@ -313,7 +313,7 @@ def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_
         (["reproduce", "--out", "{file}/out"], ["cannot be written"]),
         (["reproduce", "--data", "paper-gird", "--out", "{folder}"], ["paper-grid"]),
         (["reproduce", "--data", "road-sobol", "--out", "{folder}"], ["do not fill a grid"]),
-        (["simulate", "step", "--scheduler", "no-such.json"], ["no-such.json"]),
+        (["drive", "step", "--scheduler", "no-such.json"], ["no-such.json"]),
     ],
 )
 def test_learning_says_what_is_wrong_before_it_begins(monkeypatch, capsys, tmp_path, arguments, words):
@@ -344,7 +344,7 @@ def test_a_users_scenario_and_vehicle_files_are_driven(monkeypatch, capsys, tmp_
     load_vehicle("midsize-sedan").to_toml(tmp_path / "car.toml")
     assert tomllib.loads((tmp_path / "car.toml").read_text())["name"] == "car"
     code, out, err = run(
-        monkeypatch, capsys, "simulate", tmp_path / "mine.toml", "--vehicle", tmp_path / "car.toml", "--json"
+        monkeypatch, capsys, "drive", tmp_path / "mine.toml", "--vehicle", tmp_path / "car.toml", "--json"
     )
     assert code == 0, err
     assert json.loads(out)["rows"][0]["vehicle"] == "car"

@@ -70,5 +70,5 @@ def test_laps_of_an_open_road_are_refused(points):
 
 
 def test_a_road_given_to_simulate_is_told_the_command(points):
-    done = CliRunner().invoke(app, ["simulate", str(points)])
+    done = CliRunner().invoke(app, ["drive", str(points)])
     assert "adaptrack drive" in str(done.exception)

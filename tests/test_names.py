@@ -51,7 +51,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_p
     Constant(Tuning(), name=name).save(inside / "scheduler.json")
     before = sorted(tmp_path.rglob("*"))
 
-    arguments = ["simulate", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
+    arguments = ["drive", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
     code, out, err = command(*arguments, "--out", inside / "out", "--json")
     assert code == 0, err
     (row,) = json.loads(out)["rows"]
@@ -94,7 +94,7 @@ def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
 
 
 def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):
-    code, _, err = command("simulate", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
+    code, _, err = command("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
     assert code == 0, err
     assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-informed.parquet", "sine-informed-2.parquet"}
 
@@ -104,7 +104,7 @@ def test_a_name_that_is_no_text_is_refused_with_file_and_key(command, tmp_path, 
     load_scenario("sine", duration=0.5).to_toml(tmp_path / "scenario.toml")
     text = (tmp_path / "scenario.toml").read_text()
     (tmp_path / "scenario.toml").write_text(text.replace('name = "sine"', f'name = "{name}"'))
-    code, _, err = command("simulate", tmp_path / "scenario.toml")
+    code, _, err = command("drive", tmp_path / "scenario.toml")
     assert code == 2
     assert "scenario.toml: name = " in err
     assert os.listdir(tmp_path) == ["scenario.toml"]
