@@ -61,9 +61,9 @@ class Metrics:
 
     steps: int = _measure("-", "instants n", 0)
     driven: int = _measure("-", "control periods with a finite command", 0)
-    failed: bool = _measure("-", "whether the run failed (`find_failure`)", False)
+    failed: bool = _measure("-", "whether it failed (`find_failure`)", False)
     failed_at: float = _measure("s", "when it failed")
-    failed_reason: str = _measure("-", "a `failure.Reason`, or that of the loop", "")
+    failed_reason: str = _measure("-", "a `failure.Reason`, or the loop's", "")
     failed_because: str = _measure("-", 'completes "the vehicle ..."', "")
 
     duration: float = _measure("s", "from the first instant to the last", path=True)
@@ -77,7 +77,7 @@ class Metrics:
     p95_corner: float = _measure("m", "its 95th percentile", path=True)
     max_corner: float = _measure("m", "its largest value", path=True)
     max_corner_error: float = _measure("m", "the same less half the width", path=True)
-    in_lane: float = _measure("-", "share of time, all corners in the lane", path=True)
+    in_lane: float = _measure("-", "share of time with all corners in lane", path=True)
     heading_rms: float = _measure("rad", "RMS heading error, v_x >= 1 m/s")
     heading_max: float = _measure("rad", "largest heading error, v_x >= 1 m/s")
     yaw_rate_max: float = _measure("rad/s", "largest magnitude", path=True)

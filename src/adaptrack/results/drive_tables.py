@@ -99,7 +99,6 @@ CONSOLE = (
     Column("rms_error", "RMS e", "m", 3),
     Column("max_abs_error", "max |e|", "m", 3),
     Column("in_lane", "in lane", "%", "percent"),
-    Column("step_us_p50", "step", "µs", "whole"),
     Column("result", "result"),
 )
 _TROUBLES = ("qp_capped", "qp_failed", "held")
