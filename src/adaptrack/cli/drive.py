@@ -59,7 +59,7 @@ class DriveOptions:
 
 @options.grouped
 def drive(given: DriveOptions) -> None:
-    """Drive scenarios, or along a road: recorded, OpenDRIVE or generated.
+    """Drive scenarios, or along a road with a planned speed.
 
     Along a road the speed is planned from curvature, friction and the car, unless --speed sets one. A run that leaves
     the road, spins or is not finite is printed as FAILED; the exit code is then 3.
@@ -68,8 +68,8 @@ def drive(given: DriveOptions) -> None:
 
     settings = given.drive
     car, plant = given.car.load()
-    places = given.place.load(car, _held_speeds(given))
     settings.make_places()
+    places = given.place.load(car, _held_speeds(given))
     loop = Loop(car, plant, places, _make_controllers(given, places, car, plant))
     places.warn(car)
     runs = list(_drive(settings, loop))
@@ -77,13 +77,13 @@ def drive(given: DriveOptions) -> None:
     failed = any(row["failed"] for row in rows)
     _say_failures(rows, settings.as_json)
     result = _result(given, loop, runs, rows)
-    if not failed:
-        controllers.save_learned(settings.learned, loop.drivers, settings.as_json)
     page = None
     if settings.out is not None:
         with show.progress("write the page"):
             page = write_page(settings.out, result, png=settings.png)
     show.say_result(result, settings.as_json, page)
+    if not failed:
+        controllers.save_learned(settings.learned, loop.drivers, settings.as_json)
     if failed and not settings.allow_failed:
         raise typer.Exit(options.FAILED)
 

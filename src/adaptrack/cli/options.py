@@ -84,9 +84,7 @@ Tyre = Annotated[
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
 ]
-Speed = Annotated[
-    float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")
-]
+Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")]
 LateralAcceleration = Annotated[
     float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
 ]
@@ -140,9 +138,7 @@ class DriveSettings:
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period; by default the profile's.")
     ] = None
-    learn: Annotated[
-        bool, Option("--learn", help="Learn delay, stiffness and bias while driving.")
-    ] = False
+    learn: Annotated[bool, Option("--learn", help="Learn delay, stiffness and bias while driving.")] = False
     learned: Annotated[
         Path | None,
         Option("--learned", metavar="FILE", help="Learn, from and into this TOML file."),

@@ -80,6 +80,12 @@ _LISTED = {
 }
 """Entries of the provenance block, with their names there."""
 
+_PAPER_FIGURES = {
+    "triple-lane-change": {"speed": "6(a)", "conditions": "7", "tracking": "8"},
+    "general-trajectory": {"speed": "6(b)", "conditions": "9", "tracking": "10"},
+}
+"""The paper's figures of its two tests."""
+
 TRACKING_CAPTION = "Position or speed, tracking error, angle of the front wheels, yaw rate or lateral acceleration. \
 Cross: failed. Grey: the command."
 CONDITIONS_CAPTION = "Lateral gust, friction and adapted tuning. Black: shared by all runs."
@@ -299,15 +305,27 @@ def _pictures(scenarios: Mapping[str, Settings], stems: Mapping[tuple[str, str],
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key if key[1:] else ())]
     speeds = {title_of(name): _trajectories(next(iter(settings.values()))) for name, settings in scenarios.items()}
     if not any(run.road for runs in groups for run in runs.values()):
-        pictures.append(speed_picture(speeds, own, SPEED_CAPTION))
+        figure = "6" if len(scenarios) > 1 else _paper_figure(groups[0], "speed")
+        pictures.append(speed_picture(speeds, own, _cite(SPEED_CAPTION, figure)))
     for runs, stem in zip(groups, stems.values(), strict=True):
-        pictures.append(tracking_picture(runs, own, f"{stem}-tracking", TRACKING_CAPTION))
-        conditions = conditions_picture(runs, own, f"{stem}-conditions", CONDITIONS_CAPTION)
+        caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
+        pictures.append(tracking_picture(runs, own, f"{stem}-tracking", caption))
+        caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
+        conditions = conditions_picture(runs, own, f"{stem}-conditions", caption)
         if conditions.panels[2:] or not any(run.road for run in runs.values()):
             pictures.append(conditions)
         if any(learned_quantities(run) for run in runs.values()):
             pictures.append(learned_picture(runs, own, f"{stem}-learned"))
     return pictures
+
+
+def _paper_figure(runs: Mapping[str, Trajectory], kind: str) -> str:
+    """The number of the paper's figure of this kind; empty for a scenario that is not the paper's."""
+    return _PAPER_FIGURES.get(next(iter(runs.values())).name_of("scenario"), {}).get(kind, "")
+
+
+def _cite(caption: str, figure: str) -> str:
+    return f"{caption} As the paper's figure {figure}." if figure else caption
 
 
 def _trajectories(group: Sequence[Shown]) -> dict[str, Trajectory]:

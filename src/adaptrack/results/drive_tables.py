@@ -95,9 +95,9 @@ BELIEF = (
 CONSOLE = (
     Column("scenario", "driven"),
     Column("controller", "controller"),
-    Column("mse", "MSE", "m²"),
     Column("rms_error", "RMS e", "m", 3),
     Column("max_abs_error", "max |e|", "m", 3),
+    Column("max_corner_error", "corner |e|", "m", 3),
     Column("in_lane", "in lane", "%", "percent"),
     Column("result", "result"),
 )
