@@ -89,8 +89,8 @@ def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     runs = [Run(drive(n=40, seed=seed), label="x" * 200 + str(seed)) for seed in (1, 2)]
     text = write_drive_page(tmp_path, runs).read_text(encoding="utf-8")
-    assert "…, seed 1" in text
-    assert "…, seed 2" in text
+    assert "… no. 1" in text
+    assert "… no. 2" in text
 
 
 def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):

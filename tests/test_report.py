@@ -240,18 +240,12 @@ def test_the_headline_is_the_smallest_error_and_never_that_of_a_failed_run():
         drive_result([])
 
 
-def test_runs_are_grouped_by_scenario_window_and_setting_under_distinct_labels():
-    pulses, laguerre = drive(moves={"kind": "pulse"}), drive(control={"moves": {"kind": "laguerre", "pole": 0.95}})
-    groups = group_runs([Run(run) for run in (pulses, laguerre, drive(preview=True), drive("nn", preview=True))])
-    assert {setting: [run.label for run in runs] for setting, runs in groups["triple-lane-change"].items()} == {
-        "without preview": ["Standard MPC, pulse moves", "Standard MPC, laguerre (pole 0.95) moves"],
-        "with preview": ["Standard MPC", "NN-MPC"],
+def test_runs_are_grouped_by_scenario_under_distinct_labels():
+    groups = group_runs([Run(run) for run in (drive(), drive("nn"), drive(seed=3), drive(scenario="step"))])
+    assert {name: [run.label for run in runs] for name, runs in groups.items()} == {
+        "triple-lane-change": ["Standard MPC no. 1", "NN-MPC", "Standard MPC no. 2"],
+        "step": ["Standard MPC"],
     }
-    (same,) = group_runs([Run(pulses), Run(pulses)])["triple-lane-change"].values()
-    assert [run.label for run in same] == ["Standard MPC, no. 1", "Standard MPC, no. 2"]
-    assert set(group_runs([Run(pulses), Run(drive(n=460))])) == {
-        "triple-lane-change (28 s)", "triple-lane-change (46 s)",
-    }  # fmt: skip
 
 
 def test_the_papers_numbers_stand_beside_ours(report):
@@ -359,14 +353,6 @@ def test_figures_have_the_papers_panels_with_units():
     assert legend_texts(tracking) == ["Reference", "Standard MPC", "NN-MPC"]
     for axes in four.axes + tracking.axes:
         assert re.search(r"\(.+\)$", axes.get_ylabel()), axes.get_ylabel()
-
-
-def test_a_speed_that_all_drive_is_drawn_once():
-    both = {"triple-lane-change": {"a": drive(), "b": drive()}}
-    assert legend_texts(figure_of(speed_picture, both)) == ["Profile", "Driven"]
-    slower = drive()
-    slower = dataclasses.replace(slower, vx=slower.vx - 1.0)
-    assert legend_texts(figure_of(speed_picture, {"step": {"a": drive(), "b": slower}})) == ["Profile", "a", "b"]
 
 
 @pytest.mark.drawn

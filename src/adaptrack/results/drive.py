@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.answers import length
 from adaptrack.results.drive_tables import (
-    Settings,
     Shown,
     console_table,
     differences_table,
@@ -47,19 +46,12 @@ from adaptrack.results.words import (
     legible,
     number,
     recorded,
-    setting,
     slug,
     span,
     title_of,
 )
 from adaptrack.road import Road
 from adaptrack.scenario.profile import load_profile
-
-_SETTINGS = ("profile", "plant", "tyre", "vehicle", "speed", "preview")
-"""Entries of a run's provenance that split a scenario's runs into separate figures."""
-
-_VARIANTS = ("moves", "tuning", "solver", "seed")
-"""Entries that tell apart runs of one controller in one figure."""
 
 _LISTED = {
     "scenario": "Scenario",
@@ -117,9 +109,7 @@ def drive_result(
 ) -> Result:
     """Closed-loop runs as a result.
 
-    Runs are grouped by scenario or road, and within it by profile, plant, tyre, vehicle and preview. Runs of one
-    controller are distinguished by the entries of their provenance that differ. A label keeps its colour in all
-    pictures.
+    Runs are grouped by scenario or road; equal labels are numbered. A label keeps its colour in all pictures.
 
     Parameters
     ----------
@@ -138,12 +128,10 @@ def drive_result(
     if not runs:
         raise InvalidInput("report: at least one run is needed.")
     scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
-    shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
+    shown = [run for group in scenarios.values() for run in group]
     own = strokes(run.label for run in shown)
-    names = [(name, words) for name, settings in scenarios.items() for words in settings]
-    stems = dict(zip(names, safe_names(slug(f"{name} {words}") for name, words in names), strict=True))
-    failed = [_failed(scenarios, name, words, run) for name, words in names for run in scenarios[name][words]
-              if run.metrics.failed]  # fmt: skip
+    stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
+    failed = [_failure(run) for run in shown if run.metrics.failed]
     provenance, differences = _provenance(shown)
     first = shown[0].trajectory
     return Result(
@@ -153,7 +141,7 @@ def drive_result(
         record={"rows": list(rows)},
         tables=[
             overview_table(scenarios),
-            *(table for name, settings in scenarios.items() for table in scenario_tables(name, settings)),
+            *(table for name, group in scenarios.items() for table in scenario_tables(name, group)),
             *differences,
             *([console_table(f"Profile {first.name_of('profile')}", rows)] if rows else []),
         ],
@@ -161,7 +149,7 @@ def drive_result(
         failed=bool(failed),
         headline=_failure_headline(failed, len(shown)),
         values={
-            "scenarios": [_section(name, settings, stems) for name, settings in scenarios.items()],
+            "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
             "failed_runs": failed, "shown": shown, "provenance": provenance,
             "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
                        "road_weight": load_profile("road").move_weight},
@@ -203,32 +191,21 @@ def write_page(out_dir: str | os.PathLike[str], result: Result, *, png: bool = T
 
 
 # -- groups -----------------------------------------------------------------------------------------------------------
-def group_runs(runs: Sequence[Run]) -> dict[str, Settings]:
-    """Scenario -> setting in words -> runs, in the order given; each run with its label and measures."""
-    groups: dict[tuple[str, float], dict[str, list[Run]]] = {}
+def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
+    """Scenario -> runs, in the order given, with their measures and distinct labels."""
+    groups: dict[str, list[Run]] = {}
     for run in runs:
-        # drives along a road end with their speed plan, and belong together all the same
-        duration = 0.0 if run.road is not None or run.trajectory.road else round(run.trajectory.duration, 6)
-        settings = json.dumps([run.trajectory.meta.get(entry) for entry in _SETTINGS])
-        groups.setdefault((run.trajectory.name_of("scenario"), duration), {}).setdefault(settings, []).append(run)
-    names = [name for name, _ in groups]
-    scenarios: dict[str, Settings] = {}
-    for (name, duration), by_setting in groups.items():
-        words = _tell_apart([group[0].trajectory for group in by_setting.values()], _SETTINGS)
-        settled = {text: _labelled(group) for text, group in zip(words, by_setting.values(), strict=True)}
-        scenarios[name if names.count(name) == 1 else f"{name} ({duration:g} s)"] = settled
-    return scenarios
+        groups.setdefault(run.trajectory.name_of("scenario"), []).append(run)
+    return {name: _labelled(group) for name, group in groups.items()}
 
 
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
-    """The runs of one figure, under distinct labels."""
+    """The runs of one scenario under distinct labels."""
     labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
-    for label in set(labels):
-        same = [i for i, other in enumerate(labels) if other == label]
-        if len(same) > 1:
-            for i, words in zip(same, _tell_apart([runs[i].trajectory for i in same], _VARIANTS), strict=True):
-                labels[i] = f"{label}, {words}" if words else label
-    return [_shown(label, run) for label, run in zip(labels, runs, strict=True)]
+    return [
+        _shown(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
+        for i, (label, run) in enumerate(zip(labels, runs, strict=True))
+    ]
 
 
 def _shown(label: str, run: Run) -> Shown:
@@ -239,25 +216,10 @@ def _shown(label: str, run: Run) -> Shown:
     return Shown(label, trajectory, metrics, drive)
 
 
-def _tell_apart(trajectories: Sequence[Trajectory], entries: Iterable[str]) -> list[str]:
-    """For each trajectory the entries in which it differs from others, in words; a number where those are equal."""
-    words: list[list[str]] = [[] for _ in trajectories]
-    for entry in entries:
-        values = [setting(entry, recorded(trajectory.meta, entry)) for trajectory in trajectories]
-        if len(set(values)) > 1:
-            for listed, value in zip(words, values, strict=True):
-                listed.append(value)
-    names = [", ".join(listed) for listed in words]
-    return [
-        f"{name} no. {names[:i].count(name) + 1}".strip() if names.count(name) > 1 else name
-        for i, name in enumerate(names)
-    ]
-
-
 # -- headlines --------------------------------------------------------------------------------------------------------
-def _title(scenarios: Mapping[str, Settings]) -> str:
+def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
     """Scenarios and controllers, as long as there are few of them."""
-    labels = dict.fromkeys(run.label for settings in scenarios.values() for group in settings.values() for run in group)
+    labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
     return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
 
 
@@ -276,12 +238,11 @@ def _answer(shown: Sequence[Shown]) -> str:
     return f"{best.label}: {errors} {failed}"
 
 
-def _failed(scenarios: Mapping[str, Settings], name: str, words: str, run: Shown) -> dict[str, str]:
+def _failure(run: Shown) -> dict[str, str]:
     """A failed run: its name, when and why."""
-    metrics = run.metrics
     where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
-    full = ", ".join(filter(None, (title_of(name), run.label, words)))
-    return {"name": full, "at": f"{metrics.failed_at:.1f} s{where}", "because": metrics.failed_because}
+    name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
+    return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
 
 def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
@@ -296,26 +257,33 @@ def _drives(shown: Sequence[Shown]) -> dict[str, DriveRecord]:
     return {run.label: run.drive for run in shown if run.drive is not None}
 
 
-def _pictures(scenarios: Mapping[str, Settings], stems: Mapping[tuple[str, str], str], own: Strokes) -> list[Picture]:
+def _pictures(scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], own: Strokes) -> list[Picture]:
     """The main picture first: the road from above, or the error of the first scenario; then all signals."""
-    groups = [_trajectories(group) for settings in scenarios.values() for group in settings.values()]
-    drives = _drives([run for settings in scenarios.values() for group in settings.values() for run in group])
-    error = replace(error_panel(as_lines(groups[0], own)), title="")
-    key = [(label, own[label]) for label in groups[0]]
-    pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key if key[1:] else ())]
-    speeds = {title_of(name): _trajectories(next(iter(settings.values()))) for name, settings in scenarios.items()}
-    if not any(run.road for runs in groups for run in runs.values()):
-        figure = "6" if len(scenarios) > 1 else _paper_figure(groups[0], "speed")
+    groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
+    drives = _drives([run for group in scenarios.values() for run in group])
+    first = next(iter(groups.values()))
+    error = replace(error_panel(as_lines(first, own)), title="")
+    key = [(label, own[label]) for label in first] if len(first) > 1 else []
+    pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
+    if not any(run.road for runs in groups.values() for run in runs.values()):
+        figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
+        speeds = {title_of(name): runs for name, runs in groups.items()}
         pictures.append(speed_picture(speeds, own, _cite(SPEED_CAPTION, figure)))
-    for runs, stem in zip(groups, stems.values(), strict=True):
-        caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
-        pictures.append(tracking_picture(runs, own, f"{stem}-tracking", caption))
-        caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
-        conditions = conditions_picture(runs, own, f"{stem}-conditions", caption)
-        if conditions.panels[2:] or not any(run.road for run in runs.values()):
-            pictures.append(conditions)
-        if any(learned_quantities(run) for run in runs.values()):
-            pictures.append(learned_picture(runs, own, f"{stem}-learned"))
+    for name, runs in groups.items():
+        pictures += _signal_pictures(runs, own, stems[name])
+    return pictures
+
+
+def _signal_pictures(runs: Mapping[str, Trajectory], own: Strokes, stem: str) -> list[Picture]:
+    """Tracking, conditions and learned quantities of the runs of one scenario or road."""
+    caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
+    pictures = [tracking_picture(runs, own, f"{stem}-tracking", caption)]
+    caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
+    conditions = conditions_picture(runs, own, f"{stem}-conditions", caption)
+    if conditions.panels[2:] or not any(run.road for run in runs.values()):
+        pictures.append(conditions)
+    if any(learned_quantities(run) for run in runs.values()):
+        pictures.append(learned_picture(runs, own, f"{stem}-learned"))
     return pictures
 
 
@@ -328,15 +296,10 @@ def _cite(caption: str, figure: str) -> str:
     return f"{caption} As the paper's figure {figure}." if figure else caption
 
 
-def _trajectories(group: Sequence[Shown]) -> dict[str, Trajectory]:
-    return {run.label: run.trajectory for run in group}
-
-
 # -- the page ---------------------------------------------------------------------------------------------------------
-def _section(name: str, settings: Settings, stems: Mapping[tuple[str, str], str]) -> dict[str, Any]:
+def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
     """Names and conditions of the section on one scenario or road."""
-    runs = [run.trajectory for group in settings.values() for run in group]
-    drive = next((run.drive for group in settings.values() for run in group if run.drive is not None), None)
+    runs, drive = [run.trajectory for run in group], group[0].drive
     wind = np.concatenate([run.wind for run in runs])
     first = runs[0]
     conditions = {
@@ -349,13 +312,10 @@ def _section(name: str, settings: Settings, stems: Mapping[tuple[str, str], str]
     if drive is not None:
         conditions["Road"] = f"{number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
         conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
-        body = drive.shape.outline
-        estimated = ", ".join(name.replace("_", " ") for name in body.estimated) or "nothing"
-        conditions["Drawn car"] = f"{number(body.length)} by {number(body.width)} m; estimated: {estimated}"
-    return {
-        "name": name, "title": title_of(name), "conditions": list(conditions.items()),
-        "groups": [{"title": words[:1].upper() + words[1:], "stem": stems[name, words]} for words in settings],
-    }  # fmt: skip
+        outline = drive.shape.outline
+        estimated = ", ".join(name.replace("_", " ") for name in outline.estimated) or "nothing"
+        conditions["Drawn car"] = f"{number(outline.length)} by {number(outline.width)} m; estimated: {estimated}"
+    return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
 
 
 def _provenance(shown: Sequence[Shown]) -> tuple[dict[str, Any], list[ResultTable]]:

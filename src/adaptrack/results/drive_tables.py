@@ -15,7 +15,7 @@ from adaptrack.base.result import Column, ResultTable, Row, where
 from adaptrack.drive.metrics import Metrics, published_mse
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.record import DriveRecord
-from adaptrack.results.words import capital, describe, number, recorded, title_of
+from adaptrack.results.words import describe, number, recorded, title_of
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,8 @@ class Shown:
     """beside its road, for the road from above and the replay"""
 
 
-Settings = Mapping[str, Sequence[Shown]]
-"""The runs of one scenario or road by setting; the key names what differs between settings."""
-
 _CONTROLLER = Column("label", "Controller")
-_BOLD = "Bold: the smallest of a setting, among the runs that did not fail."
+_BOLD = "Bold: the smallest, among the runs that did not fail."
 
 TRACKING = (
     Column("mse", "MSE", "m²", 3),
@@ -105,46 +102,45 @@ _TROUBLES = ("qp_capped", "qp_failed", "held")
 """Counts that should be zero."""
 
 
-def rows_of(settings: Settings) -> list[dict[str, Any]]:
+def rows_of(runs: Sequence[Shown]) -> list[dict[str, Any]]:
     """A row for each run of a scenario: its measures, its tuning and the paper's error."""
-    best = _best(settings)
-    return [_row(run, words, id(run) in best) for words, runs in settings.items() for run in runs]
+    kept = [run.metrics.mse for run in runs if not run.metrics.failed]
+    smallest = min(kept) if kept and len(runs) > 1 else None
+    return [_row(run) | {"best": not run.metrics.failed and run.metrics.mse == smallest} for run in runs]
 
 
-def _row(run: Shown, words: str, best: bool) -> dict[str, Any]:
+def _row(run: Shown) -> dict[str, Any]:
     metrics, paper = run.metrics, published_mse(run.trajectory)
     row = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(metrics)}
     if "qp_status" not in run.trajectory.diagnostics:  # the controller solves no QP
         row |= dict.fromkeys(("qp_solved", "qp_capped", "qp_failed"))
     return row | {
-        "label": run.label, "setting": capital(words), "best": best, "paper": paper,
-        "ratio": None if paper is None else metrics.mse / paper,
+        "label": run.label, "paper": paper, "ratio": None if paper is None else metrics.mse / paper,
         "dead_reckoning": metrics.dead_reckoning or None,
         "outcome": f"at {metrics.failed_at:.1f} s" if metrics.failed else "no",
         "tuning": {name: _range(_driven(run.trajectory, name)) for name in run.trajectory.tuning},
     }  # fmt: skip
 
 
-def scenario_tables(name: str, settings: Settings) -> list[ResultTable]:
-    """Tracking, effort, solver and belief of the runs of one scenario or road; each table is named after it."""
-    shown = [run for runs in settings.values() for run in runs]
-    entries = _entries(shown)
-    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in rows_of(settings)]
+def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
+    """Tracking, effort, solver and belief of the runs of one scenario or road; the tables are named after it."""
+    entries = _entries(runs)
+    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in rows_of(runs)]
     bold = where(rows, ["mse", "rms_error"], lambda row: row["best"])
+    failed = where(rows, ["outcome"], lambda row: row["failed"])
     tracking = [_CONTROLLER, *_with_values(TRACKING, rows)]
     tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
     troubles = [where(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
     tables = [
-        ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", "setting", bold,
-                    where(rows, ["outcome"], lambda row: row["failed"])),
-        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT, rows), rows, group="setting"),
+        ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", best=bold, alert=failed),
+        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT, rows), rows),
         ResultTable(f"{name} solver", "Limits, solver and time", _with_values(SOLVER, rows), rows,
-                    "A dash: not measured.", "setting", alert=frozenset().union(*troubles)),
+                    "A dash: not measured.", alert=frozenset().union(*troubles)),
     ]  # fmt: skip
     learners = [row for row in rows if row["belief_state"]]
     if learners:
         title = "State of the learned quantities, share of the time"
-        tables.append(ResultTable(f"{name} belief", title, BELIEF, learners, group="setting"))
+        tables.append(ResultTable(f"{name} belief", title, BELIEF, learners))
     return tables
 
 
@@ -159,37 +155,26 @@ def _exists(value: Any) -> bool:
     return value is not None and not (isinstance(value, float) and math.isnan(value))
 
 
-def overview_table(scenarios: Mapping[str, Settings]) -> ResultTable:
-    """The MSE of every controller and setting on every scenario, with the paper's."""
-    rows: dict[tuple[str, str], dict[str, Any]] = {}
-    best, failed = set(), set()
-    empty = {f"{kind} {name}": None for name in scenarios for kind in ("mse", "paper")}
-    for name, settings in scenarios.items():
-        for row in rows_of(settings):
-            key = (row["setting"], row["label"])
-            entry = rows.setdefault(key, {**empty, "setting": row["setting"], "label": row["label"]})
-            mse = f"{number(row['mse'])} (failed)" if row["failed"] else row["mse"]
-            entry |= {f"mse {name}": mse, f"paper {name}": row["paper"]}
-            if row["best"]:
-                best.add((key, f"mse {name}"))
-            if row["failed"]:
-                failed.add((key, f"mse {name}"))
-    columns = [_CONTROLLER]
-    for name in scenarios:
-        columns += [Column(f"mse {name}", title_of(name), "MSE, m²", 3)]
-        if any(row[f"paper {name}"] is not None for row in rows.values()):
-            columns += [Column(f"paper {name}", "Paper", "m²", "given")]
-    places = {key: i for i, key in enumerate(sorted(rows, key=lambda key: _first(key[0], rows)))}
-    bold, alert = (frozenset((places[key], column) for key, column in marks) for marks in (best, failed))
-    shown = [rows[key] for key in places]
+def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
+    """The MSE of every controller on every scenario, with the paper's."""
+    labels = list(dict.fromkeys(run.label for runs in scenarios.values() for run in runs))
+    rows: list[dict[str, Any]] = [{"label": label} for label in labels]
+    columns, best, failed = [_CONTROLLER], set(), set()
+    for name, runs in scenarios.items():
+        mse, paper = f"mse {name}", f"paper {name}"
+        measured = {row["label"]: row for row in rows_of(runs)}
+        columns.append(Column(mse, title_of(name), "MSE, m²", 3))
+        if any(row["paper"] is not None for row in measured.values()):
+            columns.append(Column(paper, "Paper", "m²", "given"))
+        for i, label in enumerate(labels):
+            row = measured.get(label, {"mse": None, "paper": None, "failed": False, "best": False})
+            rows[i] |= {mse: f"{number(row['mse'])} (failed)" if row["failed"] else row["mse"], paper: row["paper"]}
+            best |= {(i, mse)} if row["best"] else set()
+            failed |= {(i, mse)} if row["failed"] else set()
     return ResultTable(
-        "overview", "Mean square tracking error", columns, shown, _BOLD if best else "", "setting", bold, alert
-    )
-
-
-def _first(setting: str, keys: Iterable[tuple[str, str]]) -> int:
-    """The place of a setting among all, in the order in which they occur."""
-    return list(dict.fromkeys(words for words, _ in keys)).index(setting)
+        "overview", "Mean square tracking error", columns, rows, _BOLD if best else "", best=frozenset(best),
+        alert=frozenset(failed),
+    )  # fmt: skip
 
 
 def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]]) -> ResultTable:
@@ -205,16 +190,6 @@ def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """The table that the console prints; rows: the measures of each run, with `scenario` and `controller`."""
     shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
     return ResultTable("console", title, CONSOLE, shown, brief=True)
-
-
-def _best(settings: Settings) -> set[int]:
-    """The ids of the runs with the smallest MSE of their setting; none where there is no choice."""
-    best = set()
-    for runs in settings.values():
-        kept = [run for run in runs if not run.metrics.failed]
-        if len(runs) > 1 and kept:
-            best.add(id(min(kept, key=lambda run: run.metrics.mse)))
-    return best
 
 
 def _entries(shown: Iterable[Shown]) -> dict[str, str]:

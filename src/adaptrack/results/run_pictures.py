@@ -40,9 +40,6 @@ _WHEELS = ("front left", "front right", "rear left", "rear right")
 CREEPING = 3.0
 """m/s, the lowest speed of the paper's operating domain; a panel may cut what happens below it."""
 
-SAME_SPEED = 0.05
-"""m/s, the difference below which two runs count as driven at the same speed."""
-
 CURVE_POINTS = 2400
 """Instants of a curve: more are thinned to the smallest and the largest of each of half as many parts."""
 
@@ -123,14 +120,11 @@ def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
     def speed(run: Trajectory) -> Array:
         return run.vx
 
-    driven = _distinct(lines, speed, SAME_SPEED)
-    if len(driven) == 1:
-        marks: list[Mark] = [_curve(driven[0][0], driven[0][1], BACKGROUND, 2.6)]
-    else:
-        marks = _stacked(lines, speed, tolerance=SAME_SPEED)
     forward = all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines)
-    marks += [*_reference(lines, lambda run: run.v_ref), *_crosses(lines, speed)]
-    return _panel(title, Axis("Speed (m/s)", low=0.0 if forward else None), lines, speed, marks)
+    marks = [*(_curve(line, line.run.vx) for line in lines), _shared(lines, lambda run: run.v_ref, REFERENCE)]
+    return _panel(
+        title, Axis("Speed (m/s)", low=0.0 if forward else None), lines, speed, [*marks, *_crosses(lines, speed)]
+    )
 
 
 def tracking_panels(lines: Lines) -> list[Panel]:
@@ -143,7 +137,7 @@ def tracking_panels(lines: Lines) -> list[Panel]:
     low, high, start = _frame(lines, lambda run: run.Y)
     position = [
         *(_curve(line, line.run.Y) for line in lines),
-        *_reference(lines, lambda run: run.y_ref),
+        _shared(lines, lambda run: run.y_ref, REFERENCE),
         *_crosses(lines, lambda run: run.Y),
     ]
     return [
@@ -196,17 +190,18 @@ def condition_panels(lines: Lines) -> list[Panel]:
     for name, run in adapted.items():
         if name not in ("Np", "Nc", "Q", "R"):
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
-            marks = _stacked(lines, tuned(name), steps=True)
+            marks = _tuned_curves(lines, name)
             panels.append(_panel(data_text(name), Axis(label), lines, tuned(name), marks))
     return panels
 
 
 def _gust(lines: Lines) -> Panel:
-    marks: list[Mark] = [Guide("y", [0.0], width=0.7), *_shared(lines, lambda run: run.wind[:, 1])]
+    longitudinal = Stroke("ink", "dashed")
+    marks: list[Mark] = [Guide("y", [0.0], width=0.7), _shared(lines, lambda run: run.wind[:, 1])]
     key: Key = []
     if any(line.run.wind[:, 0].any() for line in lines):
-        marks += _shared(lines, lambda run: run.wind[:, 0], "dashed")
-        key = [("lateral", NEUTRAL), ("longitudinal", Stroke("ink", "dashed"))]
+        marks.append(_shared(lines, lambda run: run.wind[:, 0], longitudinal))
+        key = [("lateral", NEUTRAL), ("longitudinal", longitudinal)]
     return _panel("Lateral gust", Axis("Wind speed (m/s)"), lines, lambda run: run.wind[:, 1], marks, key=key)
 
 
@@ -215,7 +210,7 @@ def _friction(lines: Lines) -> Panel:
     dashes: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dash-dot")
     marks: list[Mark] = []
     for dash, (wheel, _) in zip(dashes, wheels, strict=False):
-        marks += _shared(lines, lambda run, wheel=wheel: run.friction[:, wheel], dash)  # type: ignore[misc]
+        marks.append(_shared(lines, lambda run, wheel=wheel: run.friction[:, wheel], Stroke("ink", dash)))  # type: ignore[misc]
     key = [(name, Stroke("ink", dash)) for dash, (_, name) in zip(dashes, wheels, strict=False)]
     up = Axis("Friction coefficient (–)", include=(0.45, 1.0))
     return _panel("Road friction", up, lines, lambda run: run.friction, marks, key=key if len(wheels) > 1 else ())
@@ -223,8 +218,7 @@ def _friction(lines: Lines) -> Panel:
 
 def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
-    marks = [*_stacked(lines, tuned("Np"), steps=True, dash="solid"),
-             *_stacked(lines, tuned("Nc"), steps=True, dash="dotted")]  # fmt: skip
+    marks = [*_tuned_curves(lines, "Np"), *_tuned_curves(lines, "Nc", "dotted")]
     key = [("$N_p$", NEUTRAL), ("$N_c$", Stroke("ink", "dotted"))]
     up = Axis("Control periods (–)", 0.0, top, whole=True)
     return _panel("Horizons", up, lines, tuned("Nc", "Np"), marks, key=key)
@@ -237,8 +231,7 @@ def _weights(lines: Lines) -> Panel:
     if positive.size:
         low = float(10.0 ** np.floor(np.log10(positive.min()) - 0.1))
         high = float(10.0 ** np.ceil(np.log10(positive.max()) + 0.1))
-    marks = [*_stacked(lines, tuned("Q"), steps=True, dash="solid"),
-             *_stacked(lines, tuned("R"), steps=True, dash="dotted")]  # fmt: skip
+    marks = [*_tuned_curves(lines, "Q"), *_tuned_curves(lines, "R", "dotted")]
     key = [("$Q$", NEUTRAL), ("$R$", Stroke("ink", "dotted"))]
     up = Axis("$Q$ (1/m²), $R$ (1/rad²)", low, high, log=True)
     return _panel("Weights", up, lines, tuned("Q", "R"), marks, key=key)
@@ -273,23 +266,12 @@ def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
     return np.unique([0, *extremes, values.size - 1])
 
 
-def _stacked(
-    lines: Lines, value: Value, *, tolerance: float = 1e-9, steps: bool = False, dash: Dash | None = None
-) -> list[Mark]:
-    """Curves that may coincide: a curve is the wider the more curves cover it, so that it shows at their edges."""
-    curves = [value(line.run) for line in lines]
-    marks: list[Mark] = []
-    for i, (line, values) in enumerate(zip(lines, curves, strict=True)):
-        covers = sum(_coincide(values, other, tolerance) for other in curves[i + 1 :])
-        stroke = line.stroke if dash is None and not steps else Stroke(line.stroke.colour, dash or "solid")
-        marks.append(_curve(line, values, stroke, 1.3 + min(0.9 * covers, 2.7), steps))
-    return marks
-
-
-def _coincide(a: Array, b: Array, tolerance: float) -> bool:
-    """Whether two curves lie on each other for a twentieth of the time that both last."""
-    n = min(a.size, b.size)
-    return bool(np.mean(np.abs(a[:n] - b[:n]) <= tolerance) > 0.05) if n else False
+def _tuned_curves(lines: Lines, name: str, dash: Dash = "solid") -> list[Mark]:
+    """A tuning entry of all runs that have it, as steps."""
+    return [
+        _curve(line, line.run.tuning[name], Stroke(line.stroke.colour, dash), steps=True)
+        for line in lines if name in line.run.tuning
+    ]  # fmt: skip
 
 
 def _crosses(lines: Lines, value: Value) -> list[Mark]:
@@ -304,31 +286,10 @@ def _crosses(lines: Lines, value: Value) -> list[Mark]:
     return marks
 
 
-def _shared(lines: Lines, value: Value, dash: Dash = "solid") -> list[Mark]:
-    """A signal of the scenario: once in ink when all runs share it, else each in its own colour."""
-    distinct = _distinct(lines, value)
-    return [
-        _curve(line, values, Stroke("ink" if len(distinct) == 1 else line.stroke.colour, dash))
-        for line, values in distinct
-    ]
-
-
-def _reference(lines: Lines, value: Value) -> list[Mark]:
-    return [_curve(line, values, REFERENCE, 1.0) for line, values in _distinct(lines, value)]
-
-
-def _distinct(lines: Lines, value: Value, tolerance: float = 1e-9) -> list[tuple[DrawnRun, Array]]:
-    """The runs whose signal differs; of those that agree as far as both go, the longest."""
-    kept: list[tuple[DrawnRun, Array]] = []
-    for line in sorted(lines, key=lambda line: -len(line.run)):
-        values = value(line.run)
-        if not any(
-            np.array_equal(longer.run.t[: values.size], line.run.t)
-            and np.allclose(others[: values.size], values, rtol=0.0, atol=tolerance, equal_nan=True)
-            for longer, others in kept
-        ):
-            kept.append((line, values))
-    return kept
+def _shared(lines: Lines, value: Value, stroke: Stroke = NEUTRAL) -> Mark:
+    """A signal of the scenario, which all runs share, from the longest run."""
+    longest = max(lines, key=lambda line: len(line.run))
+    return _curve(longest, value(longest.run), stroke, 1.0)
 
 
 def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
@@ -380,11 +341,8 @@ def speed_picture(scenarios: Mapping[str, Runs], own: Mapping[str, Stroke] | Non
     own = own or strokes(label for runs in scenarios.values() for label in runs)
     lines = {name: as_lines(runs, own) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
-    key: Key = [("Profile", REFERENCE)]
-    for group in lines.values():
-        driven = _distinct(group, lambda run: run.vx, SAME_SPEED)
-        key += [(line.label, line.stroke) for line in group] if len(driven) > 1 else [("Driven", BACKGROUND)]
-    return Picture("speed", caption, panels, list(dict(key).items()), "speed.png", row_height=2.3)
+    key = {"Profile": REFERENCE} | {line.label: line.stroke for group in lines.values() for line in group}
+    return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
 def tracking_picture(
