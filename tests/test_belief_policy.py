@@ -20,9 +20,9 @@ from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import KnownWithin, Steering, SteeringActuator, load_vehicle
 from adaptrack.cli.app import app
-from adaptrack.cli.export import ExportedController, ExportOptions
-from adaptrack.cli.options import CarAndPlant, DriveSettings
 from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning
+from adaptrack.cli.export import ExportedController, ExportOptions
+from adaptrack.cli.options import CarAndPlant
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller, published_mpc
 from adaptrack.control.controllers.belief import ASSUMED, TO_LEARN
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
