@@ -216,7 +216,7 @@ def test_the_page_of_several_runs_has_headline_failures_pictures_and_provenance(
     assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in described)
     for value in ("0.0318", "0.0051", "0.5896", "0.132", words.number(compute_metrics(standard).mse)):
         assert value in shown
-    for entry in ("Profile paper", "Plant dual-track", "Tyre constant-stiffness", "Preview no", "Seed 7", "kernels"):
+    for entry in ("Profile paper", "Plant dual-track, constant-stiffness", '"seed": 7', "kernels"):
         assert entry in shown
     assert "adaptrack drive --out <here>" in shown  # escaped in the source, whole for the reader
     assert "<here>" not in text

@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import Picture, Result, ResultTable, Row, Stroke, strokes
+from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, SLOW
 from adaptrack.drive.metrics import Metrics, compute_metrics
@@ -23,7 +23,6 @@ from adaptrack.results.answers import length
 from adaptrack.results.drive_tables import (
     Shown,
     console_table,
-    differences_table,
     overview_table,
     scenario_tables,
 )
@@ -39,38 +38,16 @@ from adaptrack.results.run_pictures import (
     tracking_picture,
 )
 from adaptrack.results.words import (
-    clock,
     controller_name,
-    describe,
     few,
     legible,
     number,
-    recorded,
     slug,
     span,
     title_of,
 )
 from adaptrack.road import Road
 from adaptrack.scenario.profile import load_profile
-
-_LISTED = {
-    "scenario": "Scenario",
-    "profile": "Profile",
-    "plant": "Plant",
-    "tyre": "Tyre",
-    "vehicle": "Vehicle",
-    "speed": "Speed",
-    "preview": "Preview",
-    "seed": "Seed",
-    "controller": "Controller",
-    "moves": "Moves",
-    "tuning": "Tuning",
-    "limits": "Limits",
-    "solver": "QP solver",
-    "belief": "Steering model",
-    "versions": "Versions",
-}
-"""Entries of the provenance block, with their names there."""
 
 _PAPER_FIGURES = {
     "triple-lane-change": {"speed": "6(a)", "conditions": "7", "tracking": "8"},
@@ -132,7 +109,6 @@ def drive_result(
     own = strokes(run.label for run in shown)
     stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
     failed = [_failure(run) for run in shown if run.metrics.failed]
-    provenance, differences = _provenance(shown)
     first = shown[0].trajectory
     return Result(
         kind="drive",
@@ -142,7 +118,6 @@ def drive_result(
         tables=[
             overview_table(scenarios),
             *(table for name, group in scenarios.items() for table in scenario_tables(name, group)),
-            *differences,
             *([console_table(f"Profile {first.name_of('profile')}", rows)] if rows else []),
         ],
         pictures=_pictures(scenarios, stems, own),
@@ -150,7 +125,7 @@ def drive_result(
         headline=_failure_headline(failed, len(shown)),
         values={
             "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
-            "failed_runs": failed, "shown": shown, "provenance": provenance,
+            "failed_runs": failed, "shown": shown, "records": _records(shown),
             "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
                        "road_weight": load_profile("road").move_weight},
         },
@@ -303,6 +278,7 @@ def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
     wind = np.concatenate([run.wind for run in runs])
     first = runs[0]
     conditions = {
+        "Plant": ", ".join(filter(None, (first.name_of("plant"), first.name_of("tyre")))),
         "Duration": f"{number(first.duration)} s, {number(len(first))} control periods of {first.period:g} s",
         "Speed": f"{span(np.concatenate([run.vx for run in runs]))} m/s",
         "Friction": span(np.concatenate([run.friction for run in runs])),
@@ -318,18 +294,9 @@ def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
     return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
 
 
-def _provenance(shown: Sequence[Shown]) -> tuple[dict[str, Any], list[ResultTable]]:
-    """The entries that all runs share, each full record, and a table of where they differ."""
-    metas = [run.trajectory.meta for run in shown]
-    values = {entry: [recorded(meta, entry) for meta in metas] for entry in _LISTED}
-    present = {entry: column for entry, column in values.items() if any(value is not None for value in column)}
-    shared = {entry: column[0] for entry, column in present.items() if all(value == column[0] for value in column)}
-    differing = [(entry, _LISTED[entry]) for entry in present if entry not in shared]
-    moments = sorted({clock(str(meta["created"])) for meta in metas if "created" in meta})
-    created = [("Created", " to ".join(dict.fromkeys([moments[0], moments[-1]])))] if moments else []
+def _records(shown: Sequence[Shown]) -> str:
+    """The full provenance of every run as JSON: scenario, profile, plant, car, controller, versions, ..."""
     records = {
         f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(shown, 1)
     }
-    terms = [*((_LISTED[entry], describe(value)) for entry, value in shared.items()), *created]
-    tables = [differences_table(shown, differing)] if differing else []
-    return {"terms": terms, "records": json.dumps(records, indent=1, ensure_ascii=False)}, tables
+    return json.dumps(records, indent=1, ensure_ascii=False)

@@ -15,7 +15,7 @@ from adaptrack.base.result import Column, ResultTable, Row, where
 from adaptrack.drive.metrics import Metrics, published_mse
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.record import DriveRecord
-from adaptrack.results.words import describe, number, recorded, title_of
+from adaptrack.results.words import number, title_of
 
 
 @dataclass(frozen=True)
@@ -175,15 +175,6 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
         "overview", "Mean square tracking error", columns, rows, _BOLD if best else "", best=frozenset(best),
         alert=frozenset(failed),
     )  # fmt: skip
-
-
-def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]]) -> ResultTable:
-    """Provenance entries (key, head) in which the runs differ."""
-    columns = [Column("label", "Run"), *(Column(key, head) for key, head in entries)]
-    rows = [
-        {"label": run.label} | {key: describe(recorded(run.trajectory.meta, key)) for key, _ in entries} for run in runs
-    ]
-    return ResultTable("differences", "Where the runs differ", columns, rows)
 
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:

@@ -181,9 +181,3 @@ def describe(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(describe(entry) for entry in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def recorded(meta: Mapping[str, Any], entry: str) -> Any:
-    """An entry of a run's provenance, or of its controller's configuration (``control``) there; None if neither."""
-    control = meta.get("control")
-    return meta.get(entry, control.get(entry) if isinstance(control, dict) else None)
