@@ -85,7 +85,7 @@ try-wheel: ## drive with the wheel in dist/ in an environment of its own, which 
 	test -n "$(wildcard dist/adaptrack-*.whl)" || { echo 'No wheel in dist/: make wheel'; exit 1; }
 	rm -rf $(TRIED) && $(BIN)/uv venv --quiet --python "$$(command -v $(PYTHON))" $(TRIED)
 	@$(BIN)/uv pip install --quiet --python $(TRIED)/bin/python dist/adaptrack-*.whl
-	cd $(TRIED) && bin/adaptrack --version && bin/adaptrack simulate triple-lane-change --out page
+	cd $(TRIED) && bin/adaptrack --version && bin/adaptrack drive triple-lane-change --out page
 	cd $(TRIED) && bin/adaptrack drive town --vehicle midsize-sedan
 
 bench: install ## time one control step and the compiled batch of runs

@@ -24,7 +24,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-RENAMED: Mapping[str, str] = {}
+RENAMED: Mapping[str, str] = {
+    "mean_offset": "mean_error", "rms_offset": "rms_error", "p95_offset": "p95_error", "max_offset": "max_abs_error",
+    "rms_heading": "heading_rms", "max_heading": "heading_max", "max_yaw_rate": "yaw_rate_max",
+    "rms_wheel_angle": "wheel_angle_rms", "rms_command_rate": "steering_rate_rms",
+    "rms_acceleration": "lateral_acceleration_rms", "max_acceleration": "lateral_acceleration_max",
+    "max_acceleration_r79": "lateral_acceleration_r79", "rms_jerk": "jerk_rms", "max_jerk": "jerk_max",
+    "max_jerk_r79": "jerk_r79",
+}  # fmt: skip
 """Keys of the other checkout's JSON, and columns of its data sets, by what they became."""
 NOT_COMPARED = ("seconds", "step us", "versions", "adaptrack", "path", "page", "dataset", "command", "verdict")
 """Parts of keys of what differs from run to run or is text."""
@@ -119,6 +126,11 @@ class Question(NamedTuple):
     """the same as the other checkout spells it, where it differs"""
 
 
+def scenario_question(words: str) -> Question:
+    """A drive of scenarios, which other checkouts call simulate."""
+    return Question(f"drive {words}", f"simulate {words}")
+
+
 SCHEDULERS = ("road-nn", "road-anfis", "road-best-constant", "road-look-up")
 
 COMMANDS: Mapping[str, Mapping[str, Question]] = {
@@ -151,16 +163,16 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
     "adapt": {
         "config": Question("adaptation {adaptation} --out chain", "adapt --config {adaptation} --out chain"),
     },
-    "simulate": {
-        "paper": Question("simulate triple-lane-change general-trajectory --controller standard --allow-failed"),
-        "as-released": Question("simulate triple-lane-change --controller as-released"),
-        "informed": Question("simulate triple-lane-change random-drive double-lane-change --profile road"),
-        "production": Question("simulate random-drive -o seed=3 --profile production --vehicle compact-ev --learn"),
-        "scheduled": Question("simulate random-drive -o seed=1 --profile road --scheduler road-nn"),
-        "tuned": Question("simulate lane-change --profile road --np 30 --nc 10 --q 1 --r 3000 --solver hildreth"),
-        **{name: Question(f"simulate random-drive --profile road --vehicle midsize-sedan --controller {name}")
+    "scenarios": {
+        "paper": scenario_question("triple-lane-change general-trajectory --controller standard --allow-failed"),
+        "as-released": scenario_question("triple-lane-change --controller as-released"),
+        "informed": scenario_question("triple-lane-change random-drive double-lane-change --profile road"),
+        "production": scenario_question("random-drive -o seed=3 --profile production --vehicle compact-ev --learn"),
+        "scheduled": scenario_question("random-drive -o seed=1 --profile road --scheduler road-nn"),
+        "tuned": scenario_question("lane-change --profile road --np 30 --nc 10 --q 1 --r 3000 --solver hildreth"),
+        **{name: scenario_question(f"random-drive --profile road --vehicle midsize-sedan --controller {name}")
            for name in ("lqr", "pure-pursuit", "stanley", "preview-lqr", "kinematic-mpc")},
-        "single-track": Question("simulate sine --plant single-track --tyre constant-stiffness --driver"),
+        "single-track": scenario_question("sine --plant single-track --tyre constant-stiffness --driver"),
     },
     "drive": {
         "mountain": Question("drive mountain --road-seed 2 --vehicle midsize-sedan"),
@@ -256,7 +268,8 @@ def given_files(tree: Tree) -> dict[str, Path]:
     (given / "small-campaign.toml").write_text(controller_key(tree) + SMALL_CAMPAIGN)
     paths["adaptation"].write_text(SMALL_ADAPTATION)
     sheet = "car --mass 1500 --wheelbase 2.7 --out sheet.toml"
-    log = "simulate random-drive --profile road --vehicle midsize-sedan --out drive"
+    verb = "simulate" if tree.is_other else "drive"
+    log = f"{verb} random-drive --profile road --vehicle midsize-sedan --out drive"
     for command in (sheet, log):
         done = tree.run(given, "-m", "adaptrack", *shlex.split(command))
         if done.returncode:

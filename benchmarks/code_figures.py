@@ -38,7 +38,7 @@ FORMERLY = {
     **dict.fromkeys(("models", "estimation", "kalman", "qp", "controllers", "mpc"), "control"),
     **dict.fromkeys(("scheduling", "schedule", "tracker"), "control"),
     **dict.fromkeys(("world", "closed_loop", "simulate", "batch", "trajectory", "failure", "metrics"), "drive"),
-    **dict.fromkeys(("path_metrics", "prediction"), "drive"),
+    **dict.fromkeys(("signal_statistics", "prediction"), "drive"),
     **dict.fromkeys(("linearisation", "stability", "certify", "feasibility"), "analysis"),
     "runs": "tuning", **dict.fromkeys(("dataset", "learning", "adaptation"), "paper"), "evaluate": "comparison", "manoeuvres": "comparison", "adapt": "studies",
     **dict.fromkeys(("process_plant", "commonroad_plants"), "peers"), "report": "results", "__main__": "cli",

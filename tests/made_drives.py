@@ -1,9 +1,11 @@
-"""Drives made by hand: a car that follows a road's centre line, a given offset beside it."""
+"""Drives made by hand: a car that follows a road's centre line at a given offset."""
 
 import numpy as np
 
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord
+from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.results import Run
+from adaptrack.results.record import DriveRecord
 from adaptrack.road import Arc, Line, Road
 
 SPEED, PERIOD = 10.0, 0.05
@@ -16,20 +18,35 @@ def bend(**along):
     )
 
 
-def made_drive(road=None, *, amplitude=0.3, seconds=None, **more):
-    """A drive at 10 m/s, `amplitude` sin(s/10) beside the centre line (m)."""
+def made_run(road=None, *, controller="informed", amplitude=0.3, seconds=None, predicted=None, **changes):
+    """A run at 10 m/s, `amplitude` sin(s/10) from the centre line (m); `changes` replace fields of the trajectory."""
     road = road or bend()
     car = load_vehicle("midsize-sedan")
-    time = np.arange(0.0, road.length / SPEED if seconds is None else seconds, PERIOD)
+    time = PERIOD * np.arange(round((road.length / SPEED if seconds is None else seconds) / PERIOD))
     s = SPEED * time
     place, offset = road.at(s), amplitude * np.sin(s / 10.0)
     turned = np.arctan2(0.1 * amplitude * np.cos(s / 10.0), 1.0 - place.curvature * offset)
     wheels = np.arctan(car.wheelbase * place.curvature)
     values = {
-        "time": time, "station": s, "speed": np.full(s.size, SPEED), "offset": offset, "heading_error": turned,
-        "x": place.x - offset * np.sin(place.heading), "y": place.y + offset * np.cos(place.heading),
-        "yaw": place.heading + turned, "steering": wheels, "command": wheels,
-        "lateral_acceleration": SPEED**2 * place.curvature,
+        column.name: np.zeros((s.size, len(column.parts)) if column.parts else s.size, column.dtype)
+        for column in COLUMNS
+    } | {
+        "t": time, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
+        "psi": place.heading + turned, "vx": np.full(s.size, SPEED), "v_ref": np.full(s.size, SPEED),
+        "steering": wheels, "command": wheels, "lateral_acceleration": SPEED**2 * place.curvature,
+        "friction": np.full((s.size, 4), 0.9),
     }  # fmt: skip
-    assert set(values) == set(SIGNALS)
-    return DriveRecord(road=road, shape=DrawnCar.of(car), **(values | more))
+    on_road = {"station": s, "offset": offset, "heading_error": turned, "curvature": place.curvature}
+    meta = {"scenario": road.name, "controller": controller, "vehicle": "midsize-sedan", "profile": "road"}
+    run = Trajectory(**({**values, "period": PERIOD, "road": on_road, "meta": meta} | changes))
+    return Run(run, road=road, car=car, predicted=predicted)
+
+
+def recorded(run):
+    """A run beside its road."""
+    return DriveRecord.from_trajectory(run.trajectory, run.road, run.car, run.predicted)
+
+
+def made_drive(road=None, **settings):
+    """`made_run` beside its road."""
+    return recorded(made_run(road, **settings))

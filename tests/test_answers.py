@@ -47,8 +47,8 @@ DRIVE = ("drive", "town", "--length", "300", "--vehicle", "midsize-sedan")
 def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tmp_path):
     (row,) = lines(*DRIVE, "--json")["rows"]
     first, *_, last = lines(*DRIVE)
-    rms, length = answers.length(row["rms_error"]), answers.length(row["road_length"])
-    assert first == f"{rms} RMS on {length}, largest {answers.length(row['max_abs_error'])}."
+    rms = answers.length(row["rms_error"])
+    assert first == f"{rms} RMS error, largest {answers.length(row['max_abs_error'])}."
     assert step(last) == [*DRIVE, "--out", "drive"]
     *_, last = lines(*DRIVE, "--out", tmp_path)
     assert step(last)[:2] == ["tune", "town"]
@@ -59,8 +59,8 @@ def test_the_best_of_several_controllers_is_named_first(lines):
     rows = {row["controller"]: row for row in lines(*asked, "--json")["rows"]}
     assert rows["informed"]["mse"] < rows["pure-pursuit"]["mse"]
     first = lines(*asked)[0]
-    assert first.startswith(f"informed: {answers.length(rows['informed']['rms_error'])} RMS on ")
-    assert first.endswith(f"; pure-pursuit {answers.length(rows['pure-pursuit']['rms_error'])}; no run failed.")
+    assert first.startswith(f"informed: {answers.length(rows['informed']['rms_error'])} RMS error, largest ")
+    assert first.endswith("0 of 2 runs failed.")
 
 
 def test_a_failed_drive_begins_with_its_failure_and_ends_with_what_to_look_at(lines):
@@ -79,13 +79,13 @@ def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
 @pytest.mark.parametrize(
     ("command", "answer", "then"),
     [
-        (["simulate", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS on sine, largest ", ["simulate"]),
-        (["simulate", "sine", "step", "-o", "duration=1.0"], r"None of 2 runs failed; the largest", ["simulate"]),
+        (["drive", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS error, largest ", ["drive"]),
+        (["drive", "sine", "step", "-o", "duration=1.0"], r"Largest error [\d.]+ [mc]?m. 0 of 2 ", ["drive"]),
         (["road", "check", "mountain"], r"The road can be driven: 2.17 km, tightest radius 10.4 m, ", ["drive"]),
         (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
         (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
         (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
-        (["scenarios"], "7 scenarios", ["simulate"]),
+        (["scenarios"], "7 scenarios", ["drive"]),
         (["schedulers"], "12 schedulers", ["certify"]),
         (["paper", "campaign", "paper-grid"], r"paper-grid: 6.435 operating points; ", ["paper", "train"]),
     ],

@@ -20,9 +20,9 @@ from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import KnownWithin, Steering, SteeringActuator, load_vehicle
 from adaptrack.cli.app import app
+from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning
 from adaptrack.cli.export import ExportedController, ExportOptions
-from adaptrack.cli.options import CarAndPlant, DriveSettings
-from adaptrack.cli.simulate import ControllerSettings, learning_of, make_controller
+from adaptrack.cli.options import CarAndPlant
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller, published_mpc
 from adaptrack.control.controllers.belief import ASSUMED, TO_LEARN
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
@@ -34,8 +34,7 @@ from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import World, _warn
 from adaptrack.results.certificate import certificate_result
-from adaptrack.results.drive import drive_result
-from adaptrack.results.record import DriveRecord
+from adaptrack.results.drive import Run, drive_result
 from adaptrack.road import generate_road, plan_speed
 from adaptrack.scenario import RoadDrive, random_drive
 from adaptrack.scenario.profile import load_profile
@@ -65,12 +64,12 @@ def test_who_learns_is_told_nothing_of_the_steering_by_the_profile(profile):
 
 def test_a_drive_that_learns_does_not_begin_with_the_simulated_lag():
     done = CliRunner().invoke(
-        app, ["simulate", "lane-change", "--profile", "production", "--learn", "--controller", "informed"]
+        app, ["drive", "lane-change", "--profile", "production", "--learn", "--controller", "informed"]
     )
     assert done.exit_code == 0, done.output
-    assert "informed learns, as given: lag " in done.output
+    assert "Steering model of informed: learns, as given: lag " in done.output
     assert TO_LEARN in done.output
-    assert "of driving; the belief is " in done.output
+    assert "Learned by informed in " in done.output
 
 
 def test_who_learns_believes_the_caller_before_the_car_file_and_the_file_before_nobody():
@@ -138,9 +137,9 @@ def test_in_a_loop_of_ones_own_the_computation_is_learned_with_the_dead_time():
 
 # -- the guide's table ------------------------------------------------------------------------------------------------
 def commanded(**drive):
-    """The informed controller of `simulate` with these options."""
+    """The informed controller of `drive` with these options."""
     world = load_profile("road")
-    learning = learning_of(DriveSettings(**drive))
+    learning = make_learning(drive.get("learn", False), drive.get("learned"))
     return make_controller("informed", ControllerSettings(CAR, world, world.period, True, learning=learning))[1]
 
 
@@ -170,7 +169,7 @@ ROWS = [
     ('`MPC(car, profile="road")`', lambda: MPC(CAR, **NAMED), FROM_PROFILE, 0.05, False),
     ('`MPC(car, profile="road", comp', lambda: MPC(CAR, **NAMED, computation=0.0), FROM_PROFILE, 0.0, False),
     ('`MPC(car, profile="road", learn', lambda: MPC(KNOWN, **NAMED, learning=LEARNING), FROM_FILE, 0.05, True),
-    ("`drive`, `simulate`", commanded, FROM_PROFILE, 0.05, False),
+    ("`drive`", commanded, FROM_PROFILE, 0.05, False),
     ("`drive --learn`", lambda: commanded(learn=True), LEARNED, 0.05, True),
     ("`export c`", lambda: exported(KNOWN), FROM_FILE, 0.0, False),
 ]  # fmt: skip
@@ -347,7 +346,7 @@ def test_measures_and_the_page_say_for_how_long_a_belief_was_in_each_state():
     assert measures.belief_at_bound == 1.0 / len(run)
     assert measures.belief_contradictory == 0.0
     assert measures.belief_state == "at a bound (lag)"
-    table = drive_result([DriveRecord.from_trajectory(run, road, SHEET)]).table("belief")
+    table = drive_result([Run(run, road=road, car=SHEET)]).table(f"{road.name} belief")
     assert table.rows[0]["belief_state"] == "at a bound (lag)"
     plain = compute_metrics(rollout(DualTrack(CAR), MPC(KNOWN), random_drive(3, 1.0), profile="road"))
     assert plain.belief_state == ""

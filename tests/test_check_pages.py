@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from adaptrack.results.drive import write_drive_page
-from made_drives import bend, made_drive
+from made_drives import made_run
 
 pytestmark = pytest.mark.needs("chromium")
 
@@ -31,7 +31,7 @@ def test_the_page_of_a_drive_has_verdict_and_picture_in_its_first_screen_and_not
     check_pages, tmp_path, monkeypatch, width, scheme
 ):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    page = write_drive_page(tmp_path, [made_drive(bend(), controller="informed")])
+    page = write_drive_page(tmp_path, [made_run()])
     assert check_pages.look(page, width, scheme).faults() == []
 
 

@@ -1,18 +1,43 @@
-"""`adaptrack drive`: a newcomer's points to a page, failures that are loud, JSON rows."""
+"""`adaptrack drive`: scenarios and roads to rows and pages, failures that are loud, files that are told apart."""
 
 from __future__ import annotations
 
 import json
+import re
+import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from adaptrack.cli.app import app
+from adaptrack import cli, load_scenario, load_vehicle
+from adaptrack.base.errors import InvalidInput, UnknownName
+from adaptrack.cli.places import is_road
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import Constant
+from adaptrack.drive.failure import Reason
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import generate_road
 
 pytestmark = pytest.mark.compiled
+
+ROW_KEYS = {
+    "scenario", "controller", "plant", "tyre", "profile", "preview", "seed", "mse", "rms_error", "max_abs_error",
+    "max_corner_error", "in_lane", "qp_capped", "qp_failed", "step_us_p50", "vehicle", "failed", "failed_at",
+    "failed_because", "driven_length", "road_length",
+}  # fmt: skip
+FAILING = ["step", "-o", "friction=0.1", "-o", "speed=30", "-o", "wind=60", "-o", "duration=8"]
+
+
+@pytest.fixture
+def drive(monkeypatch, capsys):
+    """Run the command: (exit code, standard output, standard error)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", "drive", *map(str, arguments)])
+        code = cli.main()
+        return code, *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -26,49 +51,150 @@ def points(tmp_path_factory):
     return path
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, ["drive", *map(str, arguments)])
+@pytest.mark.drawn
+def test_scenarios_have_rows_a_page_trajectories_and_where_asked_pictures(drive, tmp_path):
+    words = ["step", "sine", "--controller", "as-written", "--controller", "lqr", "-o", "duration=2.0"]
+    code, out, err = drive(*words, "--out", tmp_path / "a" / "b", "--png", "--json")
+    rows = json.loads(out)["rows"]
+    assert code == 0, err
+    pairs = [("step", "as-written"), ("step", "lqr"), ("sine", "as-written"), ("sine", "lqr")]
+    assert [(row["scenario"], row["controller"]) for row in rows] == pairs
+    assert all(row.keys() >= ROW_KEYS and row["failed"] is None and row["road_length"] is None for row in rows)
+    assert {row["profile"] for row in rows} == {"paper"}
+    assert rows[0]["rms_error"] == pytest.approx(rows[0]["mse"] ** 0.5)
+    names = {path.name for path in (tmp_path / "a" / "b").iterdir()}
+    assert names >= {"index.html", "speed.png", "sine-tracking.png", "step-as-written.parquet", "sine-lqr.parquet"}
 
 
-def test_recorded_points_become_a_page_with_a_replay(points, tmp_path):
-    done = run(points, "--vehicle", "midsize-sedan", "--out", tmp_path)
-    assert done.exit_code == 0, done.output
+def test_recorded_points_are_driven_in_profile_road_to_a_page_with_a_replay(drive, points, tmp_path):
+    code, out, err = drive(points, "--vehicle", "midsize-sedan", "--out", tmp_path, "--json")
+    (row,) = json.loads(out)["rows"]
+    assert code == 0, err
+    assert (row["profile"], row["preview"], row["failed"]) == ("road", True, None)
+    assert row["driven_length"] == pytest.approx(row["road_length"], abs=5.0)
+    assert sum(json.loads(out)["limits"]["shares"].values()) == pytest.approx(1.0)
+    assert "adaptrackReplay" in (tmp_path / "index.html").read_text()
+    assert np.abs(Trajectory.load(tmp_path / "recorded-informed.parquet").error).max() < 0.3
+
+
+def test_a_scenarios_profile_decides_period_and_preview_unless_options_do(drive):
+    for words, period, preview in (
+        ([], 0.1, False),
+        (["--profile", "road"], 0.05, True),
+        (["--profile", "road", "--no-preview", "--period", "0.1"], 0.1, False),
+    ):
+        (row,) = json.loads(drive("sine", "-o", "duration=1.0", "--json", *words)[1])["rows"]
+        assert (row["period"], row["preview"]) == (period, preview)
+
+
+def test_failed_runs_are_loud_with_time_reason_and_code_3_unless_allowed(drive):
+    code, out, err = drive(*FAILING, "--controller", "informed", "--controller", "standard", "--json")
+    rows = json.loads(out)["rows"]
+    assert code == 3
+    assert rows[0]["failed"] in list(Reason)
+    assert rows[0]["mse"] is None
+    sentence = f"FAILED step, informed: at {rows[0]['failed_at']:.2f} s the vehicle {rows[0]['failed_because']}."
+    assert sentence in err
+    assert err.count("FAILED ") == sum(row["failed"] is not None for row in rows)
+    code, out, _ = drive(*FAILING, "--allow-failed")
+    assert code == 0
+    assert sentence in out
+    assert "\x1b" not in out
+    assert "matched_to" not in out, "the tyre is the model's"
+
+
+def test_the_page_of_a_failed_run_begins_with_it(drive, tmp_path):
+    words = ["general-trajectory", "--profile", "road", "-o", "duration=15", "--controller", "standard"]
+    code, out, _ = drive(*words, "--out", tmp_path, "--json")
+    (row,) = json.loads(out)["rows"]
+    assert (code, row["failed"]) == (3, "off-road")
+    heading = f"Failed at {row['failed_at']:.1f} s: the vehicle left the road"
     page = (tmp_path / "index.html").read_text()
-    assert "adaptrackReplay" in page
-    kept = Trajectory.load(tmp_path / "recorded-informed.parquet")
-    assert np.abs(kept.error).max() < 0.3
+    assert re.search(rf"<title>{heading}[^<]* · General trajectory: standard</title>", page)
+    assert re.search(rf"<h1><strong class=\"failed\">{heading}", page)
 
 
-def test_json_rows_have_the_keys_of_simulate_and_those_of_a_path(points):
-    done = run(points, "--json", "--controller", "informed", "--controller", "stanley", "--speed", "12")
-    assert done.exit_code == 0, done.output
-    rows = json.loads(done.stdout)["rows"]
-    assert [row["controller"] for row in rows] == ["informed", "stanley"]
-    keys = {"scenario", "controller", "plant", "vehicle", "profile", "seed", "mse", "failed", "failed_at", "rms_error",
-            "max_abs_error", "max_corner_error", "in_lane"}  # fmt: skip
-    for row in rows:
-        assert keys <= row.keys()
-        assert row["failed"] is None
-        assert row["rms_error"] == pytest.approx(row["mse"] ** 0.5)
+def test_a_failed_car_whose_model_and_tyre_disagree_is_shown_the_remedy(drive, tmp_path):
+    numbers = {"mass": 1500.0, "yaw_inertia": 2500.0, "lf": 1.1, "lr": 1.6, "stiffness_front": 15000.0,
+               "stiffness_rear": 60000.0}  # fmt: skip
+    (tmp_path / "soft.toml").write_text("".join(f"{name} = {value}\n" for name, value in numbers.items()))
+    words = ["double-lane-change", "-o", "speed=27", "--profile", "road", "--vehicle", tmp_path / "soft.toml"]
+    code, out, _ = drive(*words)
+    assert code == 3
+    assert re.search(r"has 15000 and 60000 N/rad.* has 79\d+ and 59\d+\..*stiffness_front.*matched_to", out)
 
 
-def test_a_car_off_the_road_is_loud(points):
-    done = run(points, "--speed", "60", "--json")
-    assert done.exit_code == 3
-    (row,) = json.loads(done.stdout)["rows"]
-    assert row["failed"]
-    assert row["failed_at"] > 0.0
-    assert run(points, "--speed", "60", "--allow-failed").exit_code == 0
+def test_the_steering_model_is_printed_with_its_sources_and_kept_in_the_rows(drive):
+    words = ["sine", "-o", "duration=1.0", "--profile", "road"]
+    _, out, _ = drive(*words, "--vehicle", "midsize-sedan")
+    assert "lag 0.15 s, dead time 0 s, computation 0.05 s (profile road)" in out
+    assert "rate 0.4 rad/s, limit 1.066 rad (car file midsize-sedan)" in out
+    assert "The simulated steering differs" in out
+    _, out, _ = drive(*words, "--json", "--controller", "informed", "--controller", "standard")
+    beliefs = [row["belief"] for row in json.loads(out)["rows"]]
+    assert "profile road" in beliefs[0]
+    assert beliefs[1] is None
 
 
-def test_laps_of_an_open_road_are_refused(points):
-    from adaptrack.base.errors import InvalidInput
+def test_files_of_scenario_car_and_scheduler_are_driven_under_their_names(drive, tmp_path):
+    load_scenario("sine", duration=1.0).to_toml(tmp_path / "mine.toml")
+    load_vehicle("midsize-sedan").to_toml(tmp_path / "car.toml")
+    Constant(Tuning(30, 5, 1.0, 4000.0), name="nn").save(tmp_path / "fast.json")
+    code, out, err = drive(
+        tmp_path / "mine.toml", "--vehicle", tmp_path / "car.toml", "--scheduler", tmp_path / "fast.json",
+        "--controller", "standard", "--controller", "as-written", "--json",
+    )  # fmt: skip
+    assert code == 0, err
+    rows = json.loads(out)["rows"]
+    assert [(row["vehicle"], row["controller"]) for row in rows] == [("car", "fast"), ("car", "fast-as-written")]
 
-    done = run(points, "--laps", "2")
-    assert isinstance(done.exception, InvalidInput)
-    assert "--closed" in str(done.exception)
+
+SCENARIO, ROAD = "duration = 1.0\nreference = 0.0\nspeed = 10.0\n", "points = [[0.0, 0.0], [50.0, 0.0]]\n"
 
 
-def test_a_road_given_to_simulate_is_told_the_command(points):
-    done = CliRunner().invoke(app, ["simulate", str(points)])
-    assert "adaptrack drive" in str(done.exception)
+@pytest.mark.parametrize(
+    ("file", "text", "road"),
+    [
+        ("a.toml", SCENARIO, False),
+        ("a.toml", ROAD, True),
+        ("a.toml", 'name = "empty"\n', True),
+        ("a.csv", "t,y_ref,speed,friction,wind_y\n0,0,10,0.9,0\n", False),
+        ("a.csv", "x,y\n0,0\n", True),
+        ("a.csv", "t,x,y\n0,0,0\n", True),
+        ("a.csv", "0.0,0.0\n1.0,0.0\n", True),
+    ],
+)
+def test_a_file_with_a_scenarios_keys_or_columns_is_a_scenario_otherwise_a_road(tmp_path, file, text, road):
+    (tmp_path / file).write_text(text)
+    assert is_road(str(tmp_path / file)) == road
+
+
+@pytest.mark.parametrize(("file", "text"), [("a.toml", SCENARIO + ROAD), ("a.csv", "t,y_ref,x,y\n0,0,0,0\n")])
+def test_a_file_that_may_be_both_is_refused_with_both_readings(tmp_path, file, text):
+    (tmp_path / file).write_text(text)
+    with pytest.raises(InvalidInput, match=r"as a scenario, and .* as a road: remove one"):
+        is_road(str(tmp_path / file))
+
+
+def test_a_name_of_a_scenario_and_of_a_road_is_refused(monkeypatch):
+    monkeypatch.setattr("adaptrack.scenario.list_scenarios", lambda: {"town": ""})
+    with pytest.raises(InvalidInput, match="names a scenario and a kind of road"):
+        is_road("town")
+    with pytest.raises(UnknownName, match="no scenario or road is named 'twon'"):
+        is_road("twon")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["sine", "town"], "give several scenarios or one road"),
+        (["sine", "--speed", "12"], "sine is a scenario: --speed is an option of roads"),
+        (["sine", "--laps", "2"], "sine is a scenario: --laps is an option of roads"),
+        (["town", "-o", "speed=12"], "town is a road: --option is an option of scenarios"),
+        (["{points}", "--laps", "2"], "--closed"),
+    ],
+)
+def test_options_of_the_other_kind_are_refused(drive, points, words, sentence):
+    code, out, err = drive(*(word.format(points=points) for word in words))
+    assert (code, out) == (2, "")
+    assert sentence in err

@@ -44,7 +44,7 @@ GUARDED = (
 def test_ctrl_c_during_an_import_is_one_sentence_and_exit_code_130(tmp_path, module, code):
     (tmp_path / f"{module}.py").write_text(code)
     begun = time.monotonic()
-    process = adaptrack("simulate", "step", prepend=tmp_path, stdout=subprocess.PIPE)
+    process = adaptrack("drive", "step", prepend=tmp_path, stdout=subprocess.PIPE)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert out == ""
@@ -68,7 +68,7 @@ def run(monkeypatch, capsys, *arguments):
 @pytest.mark.parametrize(
     ("command", "stopped_in", "words"),
     [
-        ("simulate step", "adaptrack.scenario.load_scenario", "Nothing was written"),
+        ("drive step", "adaptrack.scenario.load_scenario", "Nothing was written"),
         (
             "paper train --data paper-grid --model nn --out {out}/nn.json",
             "adaptrack.paper.data_set.load_dataset",
@@ -111,7 +111,7 @@ def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, cap
         return press_ctrl_c() if saved else drive(*given, **more)
 
     monkeypatch.setattr(sys.modules["adaptrack.drive.simulate"], "simulate", once)
-    code, _, err = run(monkeypatch, capsys, "simulate", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
+    code, _, err = run(monkeypatch, capsys, "drive", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
     assert code == 130
     assert f"1 of 2 runs were finished; their trajectories are in {tmp_path}" in err
 

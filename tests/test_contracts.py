@@ -272,7 +272,7 @@ def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged,
     scenario = ["lane-change", "-o", "amplitude=2.0", "-o", "speed=10.0", "-o", "duration=3.0", "--profile", "road"]
     tuning = ["--np", "30", "--nc", "5", "--q", "1", "--r", "300"]
     plant = ["--plugin", "bicycles", "--plant", "bicycle"]
-    assert plugged("simulate", *scenario, *tuning, *plant, "--out", "run", "--json") == 0
+    assert plugged("drive", *scenario, *tuning, *plant, "--out", "run", "--json") == 0
     (row,) = json.loads(capsys.readouterr().out)["rows"]
     assert (row["plant"], row["failed"]) == ("Bicycle", None)
     assert "Bicycle" in Path("run/index.html").read_text()
@@ -295,9 +295,9 @@ def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and
 
 def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged, capsys):
     for arguments, said in (
-        (["simulate", "step", "--plant", "bicycle"], "There is no plant 'bicycle'"),
-        (["simulate", "step", "--plugin", "tricycles"], "--plugin tricycles: there is no such module"),
-        (["simulate", "step", "--plugin", "."], "--plugin .: there is no such module"),
+        (["drive", "step", "--plant", "bicycle"], "There is no plant 'bicycle'"),
+        (["drive", "step", "--plugin", "tricycles"], "--plugin tricycles: there is no such module"),
+        (["drive", "step", "--plugin", "."], "--plugin .: there is no such module"),
         (["certify", "road-nn", "--plugin", "bicycles", "--plant", "bicycle"], "is stepped in Python"),
     ):
         assert plugged(*arguments) == 2
@@ -322,7 +322,7 @@ def test_a_plugin_that_fails_is_refused_with_its_line(source, fault, plugged, ca
     Path("faulty.py").write_bytes(source)
     monkeypatch.delitem(sys.modules, "faulty", raising=False)
     importlib.invalidate_caches()
-    assert plugged("simulate", "step", "--plugin", "faulty") == 2
+    assert plugged("drive", "step", "--plugin", "faulty") == 2
     assert re.search(rf"^adaptrack: plugin faulty: .*({fault}).*; correct the module\.$", capsys.readouterr().err)
 
 

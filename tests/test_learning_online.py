@@ -25,8 +25,8 @@ from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.drive.simulate import rollout, simulate
-from adaptrack.results.drive_figures import learned_figure
-from adaptrack.results.record import DriveRecord
+from adaptrack.results.draw import print_figure
+from adaptrack.results.learned_picture import learned_picture, learned_quantities
 from adaptrack.road import generate_road, plan_speed
 from adaptrack.scenario import RoadDrive, Scenario, random_drive
 from adaptrack.scenario.profile import load_profile
@@ -214,14 +214,12 @@ def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
     assert run.diagnostics["belief_delay"][-1] == pytest.approx(0.32, abs=0.05)
     again = simulate(DualTrack(CAR), learner(), trip, profile=world(), seed=1)
     np.testing.assert_array_equal(run.command, again.command)
-    record = DriveRecord.from_trajectory(run, road, CAR)
-    assert record.learned["delay"].truth[0] == pytest.approx(0.32)
-    figure = learned_figure([record])
+    assert learned_quantities(run)["delay"].truth[0] == pytest.approx(0.32)
+    figure = print_figure(learned_picture({"informed": run}))
     titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]
     assert titles[:2] == ["Lag and dead time", "Steering lag"]
-    blind = dataclasses.replace(record, learned={})
     with pytest.raises(InvalidInput, match="needs a controller that learns"):
-        learned_figure([blind])
+        learned_picture({"informed": dataclasses.replace(run, diagnostics={})})
 
 
 @compiled

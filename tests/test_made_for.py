@@ -92,7 +92,7 @@ def command(monkeypatch, capsys):
 def drive_shortly(car, scheduler):
     """A lane change of a second."""
     short = ["-o", "speed=8", "-o", "amplitude=0.2", "-o", "duration=1.0", "--profile", "road"]
-    return ["simulate", "lane-change", *short, "--vehicle", car, "--scheduler", scheduler]
+    return ["drive", "lane-change", *short, "--vehicle", car, "--scheduler", scheduler]
 
 
 @pytest.mark.compiled

@@ -12,7 +12,7 @@ from adaptrack.cli import show
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results import Run, write_report
+from adaptrack.results import Run, write_drive_page
 from adaptrack.scenario import load_scenario
 from test_report import Outline, drive
 
@@ -44,14 +44,14 @@ def command(monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
 def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_path, name):
-    monkeypatch.setattr("adaptrack.results.write_report", lambda out, *_, **__: out)  # drawn below
+    monkeypatch.setattr("adaptrack.results.drive.write_page", lambda out, *_, **__: out)  # drawn below
     inside = tmp_path / "in" / "deep"
     inside.mkdir(parents=True)
     load_scenario("sine", duration=0.5).replace(name=name).to_toml(inside / "scenario.toml")
     Constant(Tuning(), name=name).save(inside / "scheduler.json")
     before = sorted(tmp_path.rglob("*"))
 
-    arguments = ["simulate", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
+    arguments = ["drive", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
     code, out, err = command(*arguments, "--out", inside / "out", "--json")
     assert code == 0, err
     (row,) = json.loads(out)["rows"]
@@ -70,7 +70,7 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     names = list(NASTY.values())
     runs = [Run(drive(n=40, scenario=names[i % 3]), label=name) for i, name in enumerate(names)]
-    page = write_report(tmp_path, runs, title="\ud800 [/red] $\0", command="simulate '\ud800'")
+    page = write_drive_page(tmp_path, runs, title="\ud800 [/red] $\0", command="drive '\ud800'")
     assert "<script>alert" not in page.read_text(encoding="utf-8")
     text = Outline(page.read_text(encoding="utf-8")).text
     for shown in (
@@ -88,13 +88,13 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
 def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     runs = [Run(drive(n=40, seed=seed), label="x" * 200 + str(seed)) for seed in (1, 2)]
-    text = write_report(tmp_path, runs).read_text(encoding="utf-8")
-    assert "…, seed 1" in text
-    assert "…, seed 2" in text
+    text = write_drive_page(tmp_path, runs).read_text(encoding="utf-8")
+    assert "… no. 1" in text
+    assert "… no. 2" in text
 
 
 def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):
-    code, _, err = command("simulate", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
+    code, _, err = command("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
     assert code == 0, err
     assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-informed.parquet", "sine-informed-2.parquet"}
 
@@ -104,7 +104,7 @@ def test_a_name_that_is_no_text_is_refused_with_file_and_key(command, tmp_path, 
     load_scenario("sine", duration=0.5).to_toml(tmp_path / "scenario.toml")
     text = (tmp_path / "scenario.toml").read_text()
     (tmp_path / "scenario.toml").write_text(text.replace('name = "sine"', f'name = "{name}"'))
-    code, _, err = command("simulate", tmp_path / "scenario.toml")
+    code, _, err = command("drive", tmp_path / "scenario.toml")
     assert code == 2
     assert "scenario.toml: name = " in err
     assert os.listdir(tmp_path) == ["scenario.toml"]

@@ -76,8 +76,8 @@ def test_a_newcomers_controller_and_plant_are_admitted_and_drive(run):
     driven, _ = run("drive", *ROAD, *OWN, *both, "--out", "page")["rows"]
     assert not driven["failed"]
     assert driven["rms_error"] < 1.0
-    assert "Heading law" in Path("page/index.html").read_text(encoding="utf-8")
-    (row,) = run("simulate", "lane-change", *OWN, "--controller", "heading-law")["rows"]
+    assert "heading-law" in Path("page/index.html").read_text(encoding="utf-8")
+    (row,) = run("drive", "lane-change", *OWN, "--controller", "heading-law")["rows"]
     assert not row["failed"]
     car = at.load_vehicle("paper")
     at.check_controller(at.get_controller("heading-law", car, offered={"period": 0.05}))

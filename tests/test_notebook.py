@@ -44,7 +44,7 @@ def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
     assert record.station == pytest.approx(10.0 * run.t, abs=1e-6)
     assert record.offset == pytest.approx(np.full(len(run), 0.2), abs=1e-6)
     assert np.abs(record.heading_error).max() < 1e-6
-    assert (record.controller, record.car, record.profile, record.failed) == ("informed", "paper", "road", "")
+    assert record.failed == ""
     assert record.shape == DrawnCar.of(load_vehicle("paper"))
     assert record.planned_speed == pytest.approx(10.0)
 
@@ -54,7 +54,8 @@ def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):
     x[40:] = np.nan
     record = DriveRecord.from_trajectory(driven(lap, X=x, failed="off-road", failed_at=3.9), lap)
     assert len(record) == 40
-    assert (record.failed, record.failed_at) == ("off-road", 3.9)
+    assert record.failed.startswith("left the road")
+    assert record.failed_at == pytest.approx(3.9)
     with pytest.raises(InvalidInput, match="at least two instants"):
         DriveRecord.from_trajectory(driven(lap, X=np.full(x.size, np.nan)), lap)
 
@@ -73,7 +74,9 @@ def test_what_a_run_knows_of_its_road_is_taken_from_it(lap):
 
 def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):
     figure = on_road(lap).plot()
-    assert [axes.get_title("left")[4:] for axes in figure.axes] == ["Tracking error", "Steering", "Yaw rate", "Speed"]
+    assert [axes.get_title("left")[4:] for axes in figure.axes] == [
+        "Tracking error", "Steering", "Speed", "Lateral acceleration",
+    ]  # fmt: skip
 
 
 @pytest.mark.drawn
@@ -81,7 +84,7 @@ def test_a_run_draws_itself_over_time_and_along_a_road(lap):
     run = driven(lap)
     assert run.plot().axes[0].get_title("left") == "(a) Trajectory tracking"
     titles = [axes.get_title("left")[4:] for axes in run_figure(run, lap).axes]
-    assert titles[1:4] == ["Offset", "Steering", "Speed"]
+    assert titles[1:4] == ["Tracking error", "Steering", "Speed"]
     assert run.plot(lap)._repr_png_().startswith(b"\x89PNG")  # what a notebook shows
 
 

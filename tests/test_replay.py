@@ -10,7 +10,7 @@ import pytest
 import browser
 from adaptrack.results.drive import write_drive_page
 from browser import Served
-from made_drives import bend, made_drive
+from made_drives import bend, made_run, recorded
 
 pytestmark = pytest.mark.needs("chromium")
 
@@ -66,17 +66,22 @@ def ask_page(path, script, width=1400, fragment=""):
 
 
 @pytest.fixture(scope="module")
-def drives():
+def runs():
     road = bend()
     return [
-        made_drive(road, controller="informed", amplitude=0.5),
-        made_drive(road, controller="stanley", amplitude=1.0, seconds=10.05, failed="spun", failed_at=10.0),
+        made_run(road, controller="informed", amplitude=0.5),
+        made_run(road, controller="stanley", amplitude=1.0, seconds=10.05, failed="spun", failed_at=10.0),
     ]
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory, drives):
-    return write_drive_page(tmp_path_factory.mktemp("replay") / "out", drives)
+def drives(runs):
+    return [recorded(run) for run in runs]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, runs):
+    return write_drive_page(tmp_path_factory.mktemp("replay") / "out", runs)
 
 
 SEEK = (

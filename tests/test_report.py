@@ -1,4 +1,4 @@
-"""The page is complete, needs nothing but itself, and appears whole or not at all; figures show what was run."""
+"""Pages are complete, need nothing but themselves, and appear whole or not at all; figures show what was run."""
 
 import dataclasses
 import html.parser
@@ -29,23 +29,12 @@ from adaptrack.base.result import (
 )
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
-from adaptrack.results import (
-    Run,
-    conditions_figure,
-    draw,
-    figures,
-    page,
-    runs,
-    speed_figure,
-    style,
-    tracking_figure,
-    words,
-    write_report,
-    write_result,
-)
+from adaptrack.results import draw, page, style, words, write_drive_page, write_result
 from adaptrack.results.dots import Dot, notes
+from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
 from adaptrack.results.maps import edges_around
+from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from pictures import pictures
 
 
@@ -112,6 +101,11 @@ def lost(run, at=100):
     return dataclasses.replace(run, Y=Y)
 
 
+def figure_of(picture, *runs):
+    """A picture of runs, drawn for print."""
+    return draw.print_figure(picture(*runs))
+
+
 class Outline(html.parser.HTMLParser):
     """What a page holds: tags with their attributes, and its visible text."""
 
@@ -157,7 +151,7 @@ def report(tmp_path_factory):
         drive("nn", "general-trajectory", scale=0.3, adapt=True, n=2000),
     ]
     with pictures(drawn=True):
-        path = write_report(folder, shown, title="Both tests", command="adaptrack simulate --out <here>")
+        path = write_drive_page(folder, shown, title="Both tests", command="adaptrack drive --out <here>")
     return folder, path.read_text(), standard
 
 
@@ -176,29 +170,6 @@ def test_the_page_needs_nothing_but_itself(report):
     assert not re.search(r"https?://|url\((?!#)", text)
 
 
-def test_the_page_opens_with_verdict_and_picture(report):
-    _, text, _ = report
-    first = text[text.index("</h1>") : text.index("<nav")]
-    best = "Smallest mean square error: NN-MPC, Triple lane change, 0.00319 m²; NN-MPC, General trajectory, 0.00179 m²."
-    assert best in first, "errors of different scenarios are not compared"
-    assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="introduction"')
-    assert "each other; the paper&#39;s error (ring)" in first
-
-
-def test_a_single_run_is_told_with_its_error_what_it_is_held_against_and_how_sure_that_is(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    told = Outline(write_report(tmp_path, [drive(seed=3, profile="road")]).read_text()).text
-    assert "Standard MPC follows the triple lane change within 0.1" in told
-    assert "Against nothing" in told
-    assert "one run with noise seed 3; other seeds give other numbers" in told
-
-
-@pytest.mark.drawn
-def test_text_in_pictures_is_text_and_keeps_its_words():
-    figure = style.panel_figure(lambda axes: axes.set_title('#0072b2 id="a" Größe'))
-    assert '#0072b2 id="a" Größe</text>' in style.inline_svg(figure, "p1", "A title").replace("&quot;", '"')
-
-
 @pytest.mark.drawn
 def test_whole_numbers_have_ticks_at_whole_numbers():
     for high in (7, 10, 12, 23, 30, 99):
@@ -210,7 +181,7 @@ def test_whole_numbers_have_ticks_at_whole_numbers():
 
 def test_steering_has_degrees_beside_radians_and_shows_the_wheels():
     run = drive(scale=0.5)
-    steering = tracking_figure({"x": run}).axes[2]
+    steering = figure_of(tracking_picture, {"x": run}).axes[2]
     drawn = [line.get_ydata() for line in steering.lines if len(line.get_ydata()) == len(run)]
     assert any(np.array_equal(values, run.steering) for values in drawn)
     (degrees,) = steering.child_axes
@@ -230,127 +201,47 @@ def test_every_tag_is_closed_and_every_id_is_unique(report):
     assert set(clips) <= set(ids)
 
 
-def test_every_picture_is_described_in_words(report):
-    _, text, _ = report
-    pictures = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
-    assert len(pictures) == 1 + 2 + 2 * 8  # the verdict's, speed of both scenarios, eight panels for each
-    assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in pictures)
-    error, _ = (svg["aria-label"] for svg in pictures if "Tracking error. Y" in svg["aria-label"])
-    assert error.startswith(
-        "Tracking error. Y - y_ref (m), over time. Standard MPC: −0.2 to 0.2; NN-MPC: −0.08 to 0.08"
-    )
-
-
-def test_the_folder_holds_the_page_and_its_pngs_only(report):
-    folder, _, _ = report
-    names = sorted(os.listdir(folder))
-    assert names == [
-        "general-trajectory-conditions.png",
-        "general-trajectory-tracking.png",
-        "index.html",
-        "speed.png",
-        "triple-lane-change-conditions.png",
-        "triple-lane-change-tracking.png",
-    ]
-    assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in names if name.endswith(".png"))
-
-
-def test_the_papers_numbers_stand_beside_ours(report):
-    _, text, standard = report
+def test_the_page_of_several_runs_has_headline_failures_pictures_and_provenance(report):
+    folder, text, standard = report
     shown = Outline(text).text
-    for value in ("0.0318", "0.0051", "0.5896", "0.132"):
-        assert value in shown
-    assert words.number(compute_metrics(standard).mse) in shown
-
-
-def test_a_lost_run_is_said_to_be_lost_and_never_best(report):
-    _, text, _ = report
-    shown = Outline(text).text
-    why = r"the vehicle left the road \(more than 5 m from the reference\)\."
-    assert re.search(rf"Failed: ANFIS-MPC, at 10\.\d s; {why}", shown)
-    assert "Best tracking: NN-MPC" in shown
-    assert "∞" in shown
-
-
-def test_the_heading_says_first_that_runs_failed(report, tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    _, text, _ = report
     assert "<title>1 of 5 runs failed · Both tests</title>" in text
-    shown = Outline(text).text
-    assert shown.index("1 of 5 runs failed") < shown.index("adaptrack ")
-    assert "Failed: Triple lane change, ANFIS-MPC, at 10." in shown[: shown.index("At a glance")]
-
-    words = [part.strip() for part in Outline(write_report(tmp_path / "one", [lost(drive())]).read_text()).words]
-    title, heading, subject, *_ = filter(None, words)
-    assert re.fullmatch(r"Failed at 1\d\.\d s: the vehicle left the road \(more than 5 m from the reference\)", heading)
-    assert (title, subject) == (f"{heading} · Triple lane change, Standard MPC", "Triple lane change, Standard MPC")
-
-
-def test_a_page_without_a_failed_run_does_not_speak_of_one_in_its_heading(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    text = write_report(tmp_path, [drive()]).read_text()
-    assert "<h1>Triple lane change: Standard MPC</h1>" in text
-
-
-def test_the_provenance_is_complete(report):
-    _, text, _ = report
-    shown = Outline(text).text
-    for entry in ("Profile paper", "Plant dual-track", "Tyre constant-stiffness", "Preview no", "Seed 7", "kernels"):
+    first = text[text.index("</h1>") : text.index("<nav")]
+    assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="introduction"')
+    assert re.search(r"Failed: Triple lane change, ANFIS-MPC, at 10\.\d s; the vehicle left the road", shown)
+    assert "Largest error" in first
+    names = [f"{test}-{kind}.png" for test in ("general-trajectory", "triple-lane-change")
+             for kind in ("conditions", "tracking")]  # fmt: skip
+    assert sorted(os.listdir(folder)) == sorted([*names, "index.html", "speed.png"])
+    described = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
+    assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in described)
+    for value in ("0.0318", "0.0051", "0.5896", "0.132", words.number(compute_metrics(standard).mse)):
+        assert value in shown
+    for entry in ("Profile paper", "Plant dual-track, constant-stiffness", '"seed": 7', "kernels"):
         assert entry in shown
-    assert "adaptrack simulate --out <here>" in shown  # escaped in the source, whole for the reader
+    assert "adaptrack drive --out <here>" in shown  # escaped in the source, whole for the reader
     assert "<here>" not in text
 
 
-@pytest.mark.drawn
-def test_the_same_runs_give_the_same_bytes(tmp_path):
-    for name in ("a", "b"):
-        write_report(tmp_path / name, [drive()])
-    for name in os.listdir(tmp_path / "a"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
-
-
-def test_text_from_a_scenario_file_cannot_break_the_page(tmp_path):
-    nasty = '<script>alert("1")</script> & "quotes"'
-    text = write_report(tmp_path, [drive(nasty, scenario=nasty)]).read_text()
-    outline = Outline(text)
-    assert not outline.all("script")
-    assert nasty in outline.text
-
-
-def test_runs_of_one_controller_are_told_apart_by_what_differs():
-    pulses = drive(moves={"kind": "pulse"})
-    laguerre = drive(control={"moves": {"kind": "laguerre", "pole": 0.95}})
-    (shown,) = runs.grouped([Run(pulses), Run(laguerre)])["triple-lane-change"].values()
-    assert [run.label for run in shown] == ["Standard MPC, pulse moves", "Standard MPC, laguerre (pole 0.95) moves"]
-    (same,) = runs.grouped([Run(pulses), Run(pulses)])["triple-lane-change"].values()
-    assert [run.label for run in same] == ["Standard MPC, no. 1", "Standard MPC, no. 2"]
-
-
-def test_preview_and_profile_get_figures_of_their_own():
-    settings = runs.grouped([Run(drive()), Run(drive(preview=True)), Run(drive("nn", preview=True))])
-    assert {name: len(own) for name, own in settings["triple-lane-change"].items()} == {
-        "without preview": 1,
-        "with preview": 2,
-    }
-
-
-def test_windows_of_one_scenario_are_not_mixed():
-    assert set(runs.grouped([Run(drive()), Run(drive(n=460))])) == {
-        "triple-lane-change (28 s)",
-        "triple-lane-change (46 s)",
-    }
-
-
-def test_runs_without_provenance_are_reported_as_such(tmp_path):
-    bare = dataclasses.replace(drive(), meta={})
-    text = write_report(tmp_path, [bare]).read_text()
-    assert "Unnamed scenario" in text
-
-
-def test_a_report_without_runs_is_refused(tmp_path):
+def test_the_headline_is_the_smallest_error_and_never_that_of_a_failed_run():
+    runs = [drive(), drive("nn", scale=0.4), lost(drive("anfis", scale=0.1))]
+    result = drive_result(runs)
+    assert re.fullmatch(r"NN-MPC: [\d.]+ [mc]m RMS error, largest [\d.]+ [mc]m\. 1 of 3 runs failed\.", result.answer)
+    table = result.table("triple-lane-change tracking")
+    assert {table.rows[row]["label"] for row, _ in table.best} == {"NN-MPC"}
+    assert {table.rows[row]["label"] for row, _ in table.alert} == {"ANFIS-MPC"}
+    assert drive_result([drive()]).headline == ""
+    assert drive_result([lost(drive())]).headline.startswith("Failed at 1")
+    assert drive_result([dataclasses.replace(drive(), meta={})]).title.startswith("Unnamed scenario")
     with pytest.raises(InvalidInput, match="at least one run"):
-        write_report(tmp_path / "out", [])
-    assert not (tmp_path / "out").exists()
+        drive_result([])
+
+
+def test_runs_are_grouped_by_scenario_under_distinct_labels():
+    groups = group_runs([Run(run) for run in (drive(), drive("nn"), drive(seed=3), drive(scenario="step"))])
+    assert {name: [run.label for run in runs] for name, runs in groups.items()} == {
+        "triple-lane-change": ["Standard MPC no. 1", "NN-MPC", "Standard MPC no. 2"],
+        "step": ["Standard MPC"],
+    }
 
 
 def said(answer, *pictures):
@@ -424,7 +315,7 @@ def legend_texts(figure):
 
 def test_figures_have_the_papers_panels_with_units():
     fleet = {"Standard MPC": drive(), "NN-MPC": drive("nn", adapt=True)}
-    four = conditions_figure(fleet)
+    four = figure_of(conditions_picture, fleet)
     assert [axes.get_title("left") for axes in four.axes] == [
         "(a) Lateral gust",
         "(b) Road friction",
@@ -432,7 +323,7 @@ def test_figures_have_the_papers_panels_with_units():
         "(d) Weights",
     ]
     assert four.axes[3].get_yscale() == "log"
-    tracking = tracking_figure(fleet)
+    tracking = figure_of(tracking_picture, fleet)
     assert [axes.get_title("left")[4:] for axes in tracking.axes] == [
         "Trajectory tracking",
         "Tracking error",
@@ -444,17 +335,9 @@ def test_figures_have_the_papers_panels_with_units():
         assert re.search(r"\(.+\)$", axes.get_ylabel()), axes.get_ylabel()
 
 
-def test_a_speed_that_all_drive_is_drawn_once():
-    both = {"triple-lane-change": {"a": drive(), "b": drive()}}
-    assert legend_texts(speed_figure(both)) == ["Profile", "Driven"]
-    slower = drive()
-    slower = dataclasses.replace(slower, vx=slower.vx - 1.0)
-    assert legend_texts(speed_figure({"step": {"a": drive(), "b": slower}})) == ["Profile", "a", "b"]
-
-
 @pytest.mark.drawn
 def test_legends_cover_no_curve():
-    figure = tracking_figure({f"controller {i}": drive(scale=1 + 0.1 * i) for i in range(8)})
+    figure = figure_of(tracking_picture, {f"controller {i}": drive(scale=1 + 0.1 * i) for i in range(8)})
     style.png(figure)  # settles the layout
     legend = figure.legends[0].get_window_extent()
     assert all(not legend.overlaps(axes.get_window_extent()) for axes in figure.axes)
@@ -479,7 +362,7 @@ def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
 
 def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
     good, bad = drive(), lost(drive("nn"))
-    figure = tracking_figure({"good": good, "bad": bad})
+    figure = figure_of(tracking_picture, {"good": good, "bad": bad})
     error = figure.axes[1]
     assert error.get_ylim()[1] < 1.0  # the lost run reaches 5 m and more
     ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == style.SERIES[1]]
@@ -494,9 +377,9 @@ def test_runs_that_hold_only_nan_can_be_drawn():
         broken, Y=empty, vx=empty, yaw_rate=empty, command=empty, tuning={**broken.tuning, "Q": empty}
     )
     for figure in (
-        tracking_figure({"x": broken}),
-        conditions_figure({"x": broken}),
-        speed_figure({"s": {"x": broken}}),
+        figure_of(tracking_picture, {"x": broken}),
+        figure_of(conditions_picture, {"x": broken}),
+        figure_of(speed_picture, {"s": {"x": broken}}),
     ):
         style.png(figure)
 
@@ -505,26 +388,16 @@ def test_start_up_from_standstill_does_not_flatten_the_rest():
     run = drive()
     speed, command = run.vx.copy(), run.command.copy()
     speed[:5], command[:5] = 0.5, 0.5
-    figure = tracking_figure({"x": dataclasses.replace(run, vx=speed, steering=command)})
+    figure = figure_of(tracking_picture, {"x": dataclasses.replace(run, vx=speed, steering=command)})
     steering = figure.axes[2]
     assert steering.get_ylim()[1] < 0.1
     assert steering.get_title("right") == "start: −0.03 to 0.5"
 
 
-def test_the_page_says_for_how_long_a_controller_had_no_position_and_only_then(tmp_path):
-    run = drive()
-    blind = {**run.diagnostics, "dead_reckoning": np.where((run.t > 5.0) & (run.t < 6.05), run.t - 5.0, 0.0)}
-    for each, told in ((dataclasses.replace(run, diagnostics=blind), True), (run, False)):
-        text = Outline(write_report(tmp_path / str(told), [each]).read_text()).text
-        assert ("steered on its estimate" in text) == told
-        assert ("No position steps" in text) == told
-        assert not told or "In 10 control periods there was no new position, for 1.00 s at the longest" in text
-
-
 def test_steps_in_which_a_safe_angle_was_held_are_marked():
     run = drive()
     held = (run.t > 5.0) & (run.t < 6.0)
-    steering = tracking_figure({"x": dataclasses.replace(run, held=held)}).axes[2]
+    steering = figure_of(tracking_picture, {"x": dataclasses.replace(run, held=held)}).axes[2]
     (squares,) = (line for line in steering.get_lines() if line.get_marker() == "s")
     assert squares.get_xdata().tolist() == run.t[held].tolist()
     assert steering.get_title("right") == "□ held"
@@ -541,23 +414,16 @@ def test_steps_in_which_a_safe_angle_was_held_are_marked():
 )
 def test_friction_is_drawn_for_the_wheels_that_differ(wheels, key):
     run = dataclasses.replace(drive(), friction=np.tile(wheels, (280, 1)))
-    legend = conditions_figure({"x": run}).axes[1].get_legend()
+    legend = figure_of(conditions_picture, {"x": run}).axes[1].get_legend()
     assert ([text.get_text() for text in legend.get_texts()] if legend else []) == key
-
-
-def test_a_figure_needs_a_run_and_a_stroke_for_it():
-    with pytest.raises(InvalidInput, match="at least one run"):
-        tracking_figure({})
-    with pytest.raises(InvalidInput, match="no stroke for 'x'"):
-        tracking_figure({"x": drive()}, strokes(["y"]))
 
 
 @pytest.mark.drawn
 def test_figures_leave_the_users_matplotlib_alone():
     before = dict(mpl.rcParams)
     with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "pink"}):
-        mine = style.png(tracking_figure({"x": drive()}))
-    assert mine == style.png(tracking_figure({"x": drive()}))
+        mine = style.png(figure_of(tracking_picture, {"x": drive()}))
+    assert mine == style.png(figure_of(tracking_picture, {"x": drive()}))
     assert dict(mpl.rcParams) == before
 
 
@@ -694,28 +560,11 @@ def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():
     assert words.entry((1.0012, 1.0039), ratio) == "1.001 to 1.004"
 
 
-def test_settings_are_described_in_words():
-    assert words.describe({"name": "step", "y_ref": 2.0}) == "step (y_ref 2)"
-    assert words.describe({"name": "paper"} | dict.fromkeys("abcdefgh", 1.0)) == "paper"
-    assert words.describe(None) == "not recorded"
-    assert words.title_of("triple-lane-change") == "Triple lane change"
-    assert words.percent(0.0001) == "< 0.1"
-    assert words.span(np.array([-0.0, 0.0])) == "0"
-    assert words.clock("2026-01-02T03:04:05+00:00") == "2026-01-02 03:04 UTC"
-
-
 def test_the_full_record_can_be_read_back_from_the_page(report):
     _, text, standard = report
     (record,) = re.findall(r"<pre[^>]*><code>(\{.*?)</code>", text, flags=re.DOTALL)
     records = json.loads(html.unescape(record))
     assert records["1. Standard MPC, triple-lane-change"] == standard.meta
-
-
-def test_alternative_texts_give_the_range_of_every_run():
-    lines = figures.as_lines({"a": drive(), "b": drive(scale=2.0)})
-    described = draw.described(figures.tracking_panels(lines)[1])
-    assert described.startswith("Tracking error")
-    assert re.search(r"a: −0\.2 to 0\.2; b: −0\.4 to 0\.4", described)
 
 
 def test_a_caption_explains_the_marks_that_are_drawn_and_no_others():

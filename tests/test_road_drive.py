@@ -8,22 +8,20 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import (
     LQR,
     MPC,
     PurePursuit,
     Stanley,
-    published_mpc,
 )
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
-from adaptrack.drive.trajectory import Trajectory
-from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
+from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Pose, Road, Stop, generate_road, plan_speed
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.tuning.constant import tune_constant
@@ -49,12 +47,12 @@ LAWS = {
 
 
 # -- the road ahead ---------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("lead", [0.0, 0.4, 2.0, 3.3])
-def test_an_arc_lies_beside_its_tangent_as_a_parabola(lead):
+def test_an_arc_lies_beside_its_tangent_as_a_parabola():
     """With dY/dt = v theta and theta = v kappa t, Y = kappa (v t)^2/2."""
-    found = RoadAhead(CIRCLE, 311.0, [12.0]).bend(30, 12.0, lead, 0.05)  # across the seam of the lap
-    t = (lead + np.arange(30)) * 0.05
-    np.testing.assert_allclose(found, 0.5 * 0.02 * (12.0 * t) ** 2, rtol=1e-9, atol=1e-12)
+    for lead in (0.0, 0.4, 3.3):
+        bent = RoadAhead(CIRCLE, 311.0, [12.0]).bend(30, 12.0, lead, 0.05)  # across the seam of the lap
+        t = (lead + np.arange(30)) * 0.05
+        np.testing.assert_allclose(bent, 0.5 * 0.02 * (12.0 * t) ** 2, rtol=1e-9, atol=1e-12)
 
 
 def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
@@ -62,12 +60,6 @@ def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
     found = RoadAhead(road, 0.0, [10.0]).bend(100, 10.0, 0.0, 0.05)
     s = 0.5 * np.arange(100)
     np.testing.assert_allclose(found, 1e-4 * s**3 / 6.0, rtol=0, atol=2e-4)  # the table of headings is 0.5 m fine
-
-
-def test_a_car_that_slows_down_meets_the_bend_later():
-    slowing = RoadAhead(HAIRPIN, 20.0, np.linspace(10.0, 5.0, 60)).bend(60, 10.0, 0.0, 0.05)
-    steady = RoadAhead(HAIRPIN, 20.0, [10.0]).bend(60, 10.0, 0.0, 0.05)
-    assert (np.flatnonzero(slowing > 0.01)[0]) > np.flatnonzero(steady > 0.01)[0]
 
 
 @pytest.mark.parametrize(
@@ -81,7 +73,7 @@ def test_a_car_that_slows_down_meets_the_bend_later():
         (lambda: RoadDrive(HAIRPIN, 5.0, start_heading=2.0), "right angle"),
     ],
 )
-def test_a_drive_that_makes_no_sense_is_refused(make, words):
+def test_drives_that_make_no_sense_are_refused(make, words):
     with pytest.raises(InvalidInput, match=words):
         make()
 
@@ -113,17 +105,15 @@ def test_a_straight_road_is_the_scenario_without_a_road():
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("make", [MPC, *LAWS.values()], ids=["mpc", *LAWS])
-@pytest.mark.parametrize("profile", ["paper", "road"])
-def test_both_drivers_give_the_same_run(make, profile):
-    controller = make(CAR, profile=profile) if make is MPC else make(CAR, period=0.05, preview=True)
+def test_both_drivers_give_the_same_run(make):
+    controller = make(CAR, profile="road") if make is MPC else make(CAR, period=0.05, preview=True)
     drive = RoadDrive(HAIRPIN, 6.0)
-    one = simulate(PLANT, controller, drive, profile=profile, seed=5)
-    other = rollout(PLANT, controller, drive, profile=profile, seed=5)
+    one = simulate(PLANT, controller, drive, profile="road", seed=5)
+    other = rollout(PLANT, controller, drive, profile="road", seed=5)
     for name in ("X", "Y", "psi", "command"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for name in one.road:
         np.testing.assert_array_equal(one.road[name], other.road[name])
-    np.testing.assert_allclose(WINDING.project(0.0, 0.0).s, WINDING.project(0.0, 0.0).s)
 
 
 @pytest.mark.compiled
@@ -135,17 +125,17 @@ def test_offset_and_heading_error_are_those_of_the_projection():
 
 
 @pytest.mark.compiled
-def test_a_road_is_driven_the_same_wherever_it_lies_and_mirrored_in_the_mirror():
-    here, there, mirror = (
-        rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(hairpin(side, start), 6.0)).road["offset"]
-        for side, start in ((1.0, (0.0, 0.0, 0.0)), (1.0, (300.0, -200.0, 2.0)), (-1.0, (0.0, 0.0, 0.0)))
-    )
-    np.testing.assert_allclose(here, there, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(here, -mirror, rtol=0, atol=1e-7)
+def test_a_road_that_is_moved_and_mirrored_is_driven_in_the_mirror():
+    moved = Road.from_segments(
+        [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=-1 / 15), Line(length=40.0)], name="moved",
+        start=Pose(x=300.0, y=-200.0, heading=2.0),
+    )  # fmt: skip
+    left, right = (rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(road, 6.0)) for road in (HAIRPIN, moved))
+    np.testing.assert_allclose(left.road["offset"], -right.road["offset"], rtol=0, atol=1e-7)
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("profile", ["paper", "road", "production"])
+@pytest.mark.parametrize("profile", ["paper", "production"])
 def test_the_informed_controller_stays_within_a_decimetre_in_a_hairpin(profile):
     run = rollout(PLANT, MPC(CAR, profile=profile, period=0.05), RoadDrive(HAIRPIN, 6.0), profile=profile, seed=1)
     assert run.failed is None
@@ -166,22 +156,7 @@ def test_each_law_drives_a_circle_as_geometry_says(law):
 
 
 @pytest.mark.compiled
-def test_pure_pursuit_without_slip_runs_the_circle_that_geometry_gives():
-    """At walking pace the steady turn of the rear axle through the target point: e = 0 where chord and circle agree."""
-    controller = PurePursuit(CAR, period=0.05, preview=True, lookahead_min=3.0, lookahead_time=0.1)
-    run = rollout(SingleTrack(CAR), controller, RoadDrive(CIRCLE, 1.5, laps=1), profile="paper")
-    assert abs(run.error[-1]) < 0.05
-
-
-@pytest.mark.compiled
-def test_the_published_controller_drives_bends_too():
-    run = rollout(PLANT, published_mpc(CAR, period=0.05, preview=True), RoadDrive(WINDING, 10.0), profile="paper")
-    assert run.failed is None
-    assert np.abs(run.error).max() < 0.3
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("law", ["mpc", *LAWS])
+@pytest.mark.parametrize("law", ["mpc", "stanley"])
 def test_the_wheels_of_a_standing_car_rest(law):
     plan = plan_speed(WINDING, CAR, Comfort(lateral=3.0), start=0.0, end=0.0, stops=[Stop(200.0, 4.0)])
     controller = MPC(CAR, profile="road") if law == "mpc" else LAWS[law](CAR, period=0.05, preview=True)
@@ -207,13 +182,13 @@ def test_friction_lies_at_its_place_whatever_the_time():
 
 
 @pytest.mark.compiled
-def test_a_trajectory_of_a_road_goes_through_its_file(tmp_path):
-    run = rollout(PLANT, MPC(CAR, profile="road"), RoadDrive(HAIRPIN, 6.0), profile="road")
-    run.save(tmp_path / "run.parquet")
-    back = Trajectory.load(tmp_path / "run.parquet")
-    assert set(back.road) == {"station", "offset", "heading_error", "curvature"}
-    np.testing.assert_array_equal(back.error, run.error)
-    assert back.units["road.curvature"] == "1/m"
+def test_a_batch_mixes_straight_and_curved_roads():
+    straight = Road.from_segments([Line(length=HAIRPIN.length)], name="straight")
+    drives = [RoadDrive(HAIRPIN, 6.0), RoadDrive(straight, 6.0)]
+    mpc = MPC(CAR, profile="road")
+    found = rollout_batch(PLANT, mpc, drives, which=[0, 1, 0], seeds=[1, 2, 3], profile="road")
+    alone = [rollout(PLANT, mpc, drives[i], profile="road", seed=s) for i, s in ((0, 1), (1, 2), (0, 3))]
+    np.testing.assert_allclose(found.mse, [np.mean(run.error**2) for run in alone], rtol=1e-12)
 
 
 # -- sets of drives ---------------------------------------------------------------------------------------------------
@@ -221,7 +196,7 @@ def drives_of_two_lengths():
     return [RoadDrive(HAIRPIN, 6.0), RoadDrive(WINDING, plan_speed(WINDING, CAR)), load_scenario("lane-change")]
 
 
-@pytest.mark.parametrize("law", ["informed", *LAWS])
+@pytest.mark.parametrize("law", ["informed", "lqr"])
 def test_a_drive_among_longer_ones_is_what_it_is_alone(law):
     own = MPC(CAR, profile="road") if law == "informed" else LAWS[law](CAR, period=0.05, preview=True)
     several = drives_of_two_lengths()[: 2 if law == "informed" else 3]
@@ -292,9 +267,3 @@ def test_predicted_paths_are_kept_as_the_car_then_drives():
         for point in path[:3]:
             assert np.hypot(*(passed - point).T).min() < 0.25
             assert np.hypot(*(point - now)) > 0.2
-
-
-def test_a_law_that_predicts_nothing_leaves_no_path():
-    paths = PredictedPaths()
-    simulate(PLANT, Stanley(CAR), RoadDrive(HAIRPIN, 6.0), predicted=paths)
-    assert len(paths) == 0

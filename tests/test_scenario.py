@@ -537,7 +537,7 @@ def test_unknown_names_and_impossible_options_are_refused(
 
 def test_controllers_and_the_page_of_a_run_load_no_more_of_scipy_than_numba_does() -> None:
     program = (
-        "import sys, adaptrack.control.controllers, adaptrack.results.page, adaptrack.results.runs;"
+        "import sys, adaptrack.control.controllers, adaptrack.results.page, adaptrack.results.drive;"
         "assert 'matplotlib' in sys.modules, 'drawn without matplotlib';"
         "slow = {f'scipy.{part}' for part in ('optimize', 'interpolate', 'special', 'sparse', 'stats')};"
         "slow |= {'adaptrack.results.dataset', 'sklearn', 'pandas', 'matplotlib.pyplot'};"

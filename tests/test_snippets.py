@@ -242,8 +242,8 @@ def test_no_command_of_this_program_stands_where_it_is_not_tested(page):
 
 def test_a_wrong_option_or_value_would_be_found():
     for wrong in (
-        ["simulate", "sine", "--colour"],
-        ["simulate", "sine", "--seed", "sea"],
+        ["drive", "sine", "--colour"],
+        ["drive", "sine", "--seed", "sea"],
         ["drive"],
         ["tune", "--runs", "few"],
     ):
@@ -349,7 +349,7 @@ def test_a_part_of_ones_own_from_a_page_is_simulated_driven_along_a_road_and_com
     (folder / FILE.match(module)[1]).write_text(module)
     lines = [line for language, text in page_blocks if language == "console" for line in commands(text)]
     lines = [line for line in lines if "--plugin" in line]
-    assert [line[1] for line in lines] == ["simulate", "drive", "compare"]
+    assert [line[1] for line in lines] == ["drive", "drive", "compare"]
     for line in lines[:2]:
         assert run_command(arguments_of(line), monkeypatch, capsys)
     (folder / "small.toml").write_text(

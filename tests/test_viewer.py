@@ -11,7 +11,7 @@ from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.results.drive import write_drive_page
 from adaptrack.results.replay import SCRIPTS, STYLE
 from browser import Served
-from made_drives import bend, made_drive
+from made_drives import bend, made_drive, made_run, recorded
 from test_replay import COLLECT, ask_page
 
 pytestmark = pytest.mark.needs("chromium")
@@ -30,18 +30,23 @@ def predicted_of(drive, ahead=1.0, points=8):
 
 
 @pytest.fixture(scope="module")
-def drives():
+def runs():
     road = bend()
     first = made_drive(road, controller="informed", amplitude=0.5)
     return [
-        made_drive(road, controller="informed", amplitude=0.5, predicted=predicted_of(first)),
-        made_drive(road, controller="stanley", amplitude=1.0, planned_speed=np.full(len(first), 11.0)),
+        made_run(road, controller="informed", amplitude=0.5, predicted=predicted_of(first)),
+        made_run(road, controller="stanley", amplitude=1.0, v_ref=np.full(len(first), 11.0)),
     ]
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory, drives):
-    page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", drives, png=False)
+def drives(runs):
+    return [recorded(run) for run in runs]
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory, runs):
+    page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", runs, png=False)
     return ask_page(
         page,
         (PAGES / "replay.js").read_text(),
@@ -71,7 +76,7 @@ def test_one_cursor_goes_through_all_plots_and_the_road(seen, drives):
     at = cursor["shown"]
     assert told[0] == pytest.approx([np.interp(at, each.time, each.offset) for each in drives], abs=2e-3)
     assert told[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.time, drive.steering))] * 2, abs=0.02)
-    assert told[2] == pytest.approx([10.0, 10.0], abs=0.02)
+    assert told[2] == pytest.approx([10.0] * 3, abs=0.02)
     assert seen["left"]["shown"] == 4.0
     assert seen["left"]["x"] == pytest.approx(np.interp(4.0, drive.time, drive.x), abs=5e-3)
     assert seen["onRoad"] == pytest.approx(6.0, abs=0.11)

@@ -96,7 +96,12 @@ from .control.scheduling import (
 from .control.tracker import Status as Status, Tracker as Tracker, yaw_of as yaw_of
 from .core.member import CFunction as CFunction
 from .drive.batch import rollout_batch as rollout_batch
-from .drive.metrics import Metrics as Metrics, compute_metrics as compute_metrics
+from .drive.metrics import (
+    Metrics as Metrics,
+    PathRecord as PathRecord,
+    compute_metrics as compute_metrics,
+    path_metrics as path_metrics,
+)
 from .drive.simulate import rollout as rollout, simulate as simulate
 from .drive.trajectory import Trajectory as Trajectory
 from .drive.world import Driver as Driver

@@ -218,7 +218,7 @@ def attack_plugins(folder: Path, rng: random.Random) -> Faults:
     for name, text in _PLUGINS.items():
         (folder / f"{name}.py").write_text(text)
     for name in (*_PLUGINS, "latin"):
-        ended = execute(adaptrack("simulate", "lane-change", "--plugin", name, "--out", "out"), folder)
+        ended = execute(adaptrack("drive", "lane-change", "--plugin", name, "--out", "out"), folder)
         fault = ended.fault((REFUSED, 130) if name == "interrupts" else (REFUSED,))
         if not fault and ended.code == REFUSED and f"plugin {name}" not in ended.errors:
             fault = f"wrong: the sentence does not name the module: {ended.errors[-200:]}"
@@ -240,7 +240,6 @@ _WRITERS: dict[str, tuple[object, ...]] = {
     "tune": (*_TUNE, "--out", "disk/tuning.toml"),
     "campaign": ("campaign", "small.toml", "--out", "disk/campaign", "--workers", 1),
     "drive": ("drive", "town", "--length", 200, "--out", "disk/drive"),
-    "simulate": ("simulate", "lane-change", "--out", "disk/run"),
     "car": ("car", "--mass", 1450, "--wheelbase", 2.65, "--out", "disk/car.toml"),
     "export c": ("export", "c", "--vehicle", "midsize-sedan", "--out", "disk/c"),
 }

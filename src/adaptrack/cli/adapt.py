@@ -12,7 +12,7 @@ from typer import Argument, Option
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import command, say_next
-from adaptrack.cli.simulate import FAILED
+from adaptrack.cli.options import FAILED
 
 if TYPE_CHECKING:
     from adaptrack.studies.tune_car import TunedCar

@@ -24,7 +24,6 @@ from adaptrack.cli import (
     paper,
     road,
     shadow,
-    simulate,
     tune,
 )
 
@@ -64,7 +63,6 @@ for command in (
     identify.identify,
     shadow.shadow,
     check_loop.check_loop,
-    simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,
     lists.vehicles,

@@ -126,7 +126,7 @@ def _next_step(given: CertifyOptions, found: Certificate) -> tuple[str, str]:
     if given.out is None:
         return "to see where the margins are thin on a page", again("--out", "certificate")
     scheduler = () if given.scheduler is None else ("--scheduler", given.scheduler)
-    return "to drive it", command("simulate", "general-trajectory", *car, *scheduler)
+    return "to drive it", command("drive", "general-trajectory", *car, *scheduler)
 
 
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:

@@ -1,285 +1,297 @@
-"""`adaptrack drive`: along a road with controllers; the metrics, and a page that replays it."""
+"""`adaptrack drive`: through scenarios or along a road; the measures, and a page with a replay on roads."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
 
-from adaptrack.cli import interrupt, options, show
-from adaptrack.cli import road as roads
-from adaptrack.cli.next_step import again, command, instead, say_next
-from adaptrack.cli.simulate import (
-    FAILED,
-    ControllerSettings,
-    keep_learned,
-    learning_of,
-    make_controller,
-    measured_row,
-    tell_belief,
-    tell_learned,
-    tell_open_qps,
-    tell_stiffness,
-)
-from adaptrack.results.console import print_table
+from adaptrack.cli import controllers, interrupt, options, show
+from adaptrack.cli.next_step import again, command, instead, next_line
+from adaptrack.cli.places import PlaceOptions, Places
 
 if TYPE_CHECKING:
+    from adaptrack.base.result import Result, ResultTable
     from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.cli.road import CheckedRoad
     from adaptrack.control.controllers import Controller
-    from adaptrack.control.models import PredictionModel
-    from adaptrack.drive.predicted import PredictedPaths
-    from adaptrack.drive.trajectory import Trajectory
+    from adaptrack.results import Run
     from adaptrack.road.holdable import HoldableSpeed
-    from adaptrack.scenario import RoadDrive
 
 SLOWER = 0.7
 """Times the speed, or the lateral acceleration, that is tried after a failure."""
 
-SHOWN = (
-    "rms_offset", "p95_offset", "max_offset", "max_corner", "max_corner_error", "in_lane", "max_acceleration",
-    "max_jerk_r79", "prediction_error_half", "prediction_error_one", "step_us_p50", "step_us_p999",
-)  # fmt: skip
-"""Measures on the page."""
-OTHER_UNITS = {"prediction_error_half": "m", "prediction_error_one": "m", "step_us_p50": "µs", "step_us_p999": "µs"}
-"""Of those that are not `PathMetrics`."""
+STIFFNESS_MISMATCH = 1.25
+"""Factor between the tyre's stiffness and the model's from which a failed run names both."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
     """Options of `adaptrack drive`."""
 
-    road: roads.RoadName
     controller: Annotated[
         list[str] | None,
         Option(
             "--controller",
             metavar="NAME",
-            help="informed [default], standard, lqr, pure-pursuit, stanley, or a registered one; may be repeated.",
+            help="informed [default], standard (the published MPC), lqr, pure-pursuit, stanley, or a registered one; "
+            "may be repeated.",
         ),
     ] = None
     tuning: Annotated[
         list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found; may be repeated.")
     ] = None
+    scheduler: Annotated[
+        str | None,
+        Option("--scheduler", metavar="NAME", help="Name or .json file (see `train`): retunes the MPC at every step."),
+    ] = None
     car: options.CarAndPlant
-    profile: options.Profile = "road"
-    route: roads.RoadOptions
-    laps: Annotated[int, Option("--laps", metavar="N", min=1, help="Of a closed road.")] = 1
-    wind: Annotated[float, Option("--wind", metavar="V", hidden=True, help="Along the world's y axis (m/s).")] = 0.0
-    start_offset: Annotated[
-        float, Option("--start-offset", metavar="M", hidden=True, help="From the centre line, to the left (m).")
-    ] = 0.0
+    place: PlaceOptions
+    published: controllers.PublishedOptions
     drive: options.DriveSettings
 
 
 @options.grouped
 def drive(given: DriveOptions) -> None:
-    """Drive along a road: recorded, OpenDRIVE or generated.
+    """Drive scenarios, or along a road with a planned speed.
 
-    The speed is planned from curvature, friction and the car, unless --speed gives one. A drive that leaves the road,
-    spins or is not finite is printed as FAILED; the exit code is then 3.
+    Along a road the speed is planned from curvature, friction and the car, unless --speed sets one. A run that leaves
+    the road, spins or is not finite is printed as FAILED; the exit code is then 3.
     """
-    from adaptrack.base.files import safe_names
-    from adaptrack.drive.predicted import PredictedPaths
-    from adaptrack.drive.simulate import simulate
-    from adaptrack.drive.world import Driver
-    from adaptrack.results.road import limits_in_words
-    from adaptrack.scenario import RoadDrive
-    from adaptrack.scenario.profile import load_profile
+    from adaptrack.results.drive import write_page
 
-    how, as_json = given.drive, given.drive.as_json
+    settings = given.drive
     car, plant = given.car.load()
-    how.make_places()
-    world = load_profile(given.profile)
-    checked = given.route.look(given.road, car, world, _kept(given))
-    route = RoadDrive(checked.road, checked.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
-    settings = ControllerSettings(
-        car, world, world.period if how.period is None else how.period, preview=True, learning=learning_of(how)
-    )
-    usual = [] if given.tuning else [settings.usual]
-    controllers = [make_controller(name, settings) for name in dict.fromkeys(given.controller or usual)]
-    for found in dict.fromkeys(given.tuning or []):
-        controllers.append(tuned(found, settings))
-        _certify_elsewhere(found, controllers[-1][1], settings, plant, how.allow_failed)
-    checked.warn()
-    files = safe_names(f"{route.name}-{label}" for label, _ in controllers)
-    runs = []
-    with show.progress("drive", len(controllers)) as advance:
-        for file, (label, each) in zip(files, controllers, strict=True):
-            step = partial(advance, label)
-            paths = None if how.out is None else PredictedPaths()
-            run = simulate(
-                plant, each, route, profile=world, driver=Driver() if how.driver else None, seed=how.seed,
-                predicted=paths, progress=step,
-            )  # fmt: skip
-            runs.append(_Run(label, route, car, run, each.model, paths))
-            if how.out is not None:
-                _keep(run, how.out / f"{file}.parquet")
-    rows = [run.row for run in runs]
+    settings.make_places()
+    places = given.place.load(car, _held_speeds(given))
+    loop = Loop(car, plant, places, _make_controllers(given, places, car, plant))
+    places.warn(car)
+    runs = list(_drive(settings, loop))
+    rows = [measured_row(run, places) for run in runs]
     failed = any(row["failed"] for row in rows)
-    _print(route, rows, as_json)
-    if not as_json and (words := limits_in_words(route.plan)):
-        show.say(words)
-    for label, each in controllers:
-        tell_belief(label, each, plant, world, as_json)
-        tell_learned(label, each, as_json)
-    if failed:
-        tell_stiffness(car, plant, as_json)
-    else:
-        keep_learned(how.learned, controllers, as_json)
-    if how.out is not None:
-        show.say(f"Page: {_write_page(how.out, runs, how.png)}", aside=as_json)
-    if not as_json:
-        assumed = any(each.learner is None and each.belief is not None and each.belief.is_cautious
-                      for _, each in controllers)  # fmt: skip
-        say_next(*_next_step(given, rows, checked.drivable, assumed))
-    if failed and not how.allow_failed:
-        raise typer.Exit(FAILED)
+    _say_failures(rows, settings.as_json)
+    result = _result(given, loop, runs, rows)
+    page = None
+    if settings.out is not None:
+        with show.progress("write the page"):
+            page = write_page(settings.out, result, png=settings.png)
+    show.say_result(result, settings.as_json, page)
+    if not failed:
+        controllers.save_learned(settings.learned, loop.drivers, settings.as_json)
+    if failed and not settings.allow_failed:
+        raise typer.Exit(options.FAILED)
 
 
-def _next_step(given: DriveOptions, rows: Sequence[dict[str, Any]], drivable: bool, assumed: bool) -> tuple[str, str]:
-    """What to do after a drive, and the command; drivable: the road, for this car; assumed: the steering's delay."""
-    route, how = given.route, given.drive
-    here = ("--vehicle", given.car.vehicle, *route.words)
-    away = any(row["failed"] or row.get("in_lane", 1.0) < 1.0 for row in rows)
-    if away and not drivable:
-        return "to see what of the road cannot be driven", command("road", "check", given.road, *here)
-    if away and route.speed is not None:
-        return "to stay in the lane, drive more slowly", instead("--speed", round(SLOWER * route.speed, 1))
-    if away:
-        comfort = SLOWER * (3.0 if route.lateral_acceleration is None else route.lateral_acceleration)
-        return "to stay in the lane, drive more slowly", instead("--lateral-acceleration", round(comfort, 2))
-    if assumed and not (how.learn or how.learned):
-        return "as nobody says how late the steering is, let it be learned", again("--learn")
-    if how.out is None:
-        return "to see the drive on a page", again("--out", "drive")
-    if given.tuning:
-        judged = ("--profile", given.profile, "--tuning", given.tuning[0])
-        return "to judge the tuning with other noise", command("evaluate", given.road, *here, *judged)
-    best = min(rows, key=lambda row: row["mse"])["controller"]
-    sought = ("--profile", given.profile, "--controller", best, "--out", "tuning.toml")
-    return f"to seek a tuning of {best} for this road", command("tune", given.road, *here, *sought)
+@dataclass(frozen=True)
+class Loop:
+    """The car that the controllers know, the driven plant, the places, and the controllers by their labels."""
+
+    car: Vehicle
+    plant: Any
+    places: Places
+    drivers: Sequence[tuple[str, Controller]]
 
 
-def _kept(given: DriveOptions) -> HoldableSpeed | None:
-    """What the first tuning's file says of the speeds that it holds."""
+# -- controllers and runs ---------------------------------------------------------------------------------------------
+def _make_controllers(given: DriveOptions, places: Places, car: Vehicle, plant: Any) -> list[tuple[str, Controller]]:
+    """The controllers by their labels, those made for another car certified."""
+    from adaptrack.cli.new_car import certify_meeting
+    from adaptrack.control.controllers import MPC
+    from adaptrack.control.scheduling import load_scheduler
+
+    world, published, named = places.profile, given.published, given.scheduler
+    preview = True if places.road is not None else world.preview
+    settings = controllers.ControllerSettings(
+        car=car, profile=world, tuning=published.tuning, moves=published.make_moves(), solver=published.solver,
+        period=world.period if given.drive.period is None else given.drive.period,
+        preview=preview if published.preview is None else published.preview,
+        schedule=None if named is None else load_scheduler(named),
+        label="" if named is None else Path(named).stem if named.endswith(".json") else named,
+        learning=controllers.make_learning(given.drive.learn, given.drive.learned),
+    )  # fmt: skip
+    default = [] if given.tuning else [settings.default_name]
+    drivers = [controllers.make_controller(name, settings) for name in dict.fromkeys(given.controller or default)]
+    for label, controller in drivers:
+        if isinstance(controller, MPC):
+            certify_meeting(label, controller, plant, car, world, given.drive.allow_failed)
+    for file in dict.fromkeys(given.tuning or []):
+        drivers.append(controllers.make_tuned(file, settings))
+        controllers.certify_tuned(file, drivers[-1][1], settings, plant, given.drive.allow_failed)
+    return drivers
+
+
+def _held_speeds(given: DriveOptions) -> HoldableSpeed | None:
+    """The speeds that the margins of the first tuning's file hold."""
     from adaptrack.tuning.constant_file import load_tuning
 
     return next((load_tuning(file).holds for file in given.tuning or []), None)
 
 
-def tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
-    """The controller of a tuning's file, and how tables call it; a word where it was found for something else."""
-    from adaptrack.tuning.constant_file import load_tuning
+def _drive(settings: options.DriveSettings, loop: Loop) -> Iterator[Run]:
+    """All drives with all controllers; a trajectory is saved as soon as it is driven."""
+    from adaptrack.base.files import safe_names
+    from adaptrack.drive.metrics import compute_metrics
+    from adaptrack.drive.predicted import PredictedPaths
+    from adaptrack.drive.simulate import simulate
+    from adaptrack.drive.world import Driver
+    from adaptrack.results import Run
 
-    kept = load_tuning(file)
-    for clause in kept.mismatches(settings.car.name, settings.profile.name, settings.period):
-        show.say(f"Warning, {file}: {clause}.", aside=True)
-    loop = settings.period, settings.preview, settings.computation
-    return kept.label(file), kept.make(settings.car, settings.profile, *loop)
-
-
-def _certify_elsewhere(
-    file: Path, controller: Controller, settings: ControllerSettings, plant: Any, allowed: bool
-) -> None:
-    """The certificate of an MPC's constant that was found for another car, see `new_car`."""
-    from adaptrack.cli.new_car import judge
-    from adaptrack.control.controllers import MPC
-    from adaptrack.tuning.constant_file import load_tuning
-
-    made_for, car = load_tuning(file).vehicle, settings.car
-    if made_for != car.name and isinstance(controller, MPC):
-        clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
-        judge(clause, controller.tuning, (controller, plant, car, settings.profile), allowed)
-
-
-def _keep(run: Trajectory, file: Path) -> None:
-    """Save a drive as soon as it is driven."""
-    run.save(file)
-    interrupt.kept(f"Finished drives are in {file.parent}, without a page. Run the command again.")
+    places, out = loop.places, settings.out
+    pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
+    files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
+    where = f"their trajectories are in {out}, without a page" if out else "nothing was written"
+    with show.progress("drive", len(pairs)) as advance:
+        for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
+            paths = None if out is None or places.road is None else PredictedPaths()
+            run = simulate(
+                loop.plant, controller, drive, profile=places.profile, driver=Driver() if settings.driver else None,
+                seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
+            )  # fmt: skip
+            if out is not None:
+                run.save(out / f"{file}.parquet")
+            interrupt.kept(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
+            measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
+            yield Run(run, label, measures, None if places.road is None else places.road.road, loop.car, paths)
 
 
-@dataclass(frozen=True)
-class _Run:
-    """A drive of one controller."""
+# -- output -----------------------------------------------------------------------------------------------------------
+def measured_row(run: Run, places: Places) -> dict[str, Any]:
+    """A run for --json: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics."""
+    import numpy as np
 
-    label: str
-    route: RoadDrive
-    car: Vehicle
-    run: Trajectory
-    model: PredictionModel | None
-    """of the controller, if it has one"""
-    predicted: PredictedPaths | None
-    """for the page, if there is to be one"""
-
-    @property
-    def found_in(self) -> str:
-        """Of a tuning, from which file; empty for other controllers."""
-        _, comma, file = self.label.partition(", ")
-        return comma + file
-
-    @cached_property
-    def row(self) -> dict[str, Any]:
-        """What --json says of it: as `simulate`, with the measures of a path."""
-        import numpy as np
-
-        from adaptrack.drive.path_metrics import PathRecord, path_metrics
-
-        record = PathRecord.from_trajectory(self.run)
-        measures = {} if record is None else path_metrics(record, self.car.outline).to_dict()
-        station = self.run.road["station"]
-        row = measured_row(self.label, self.run, self.model) | measures
-        if record is not None:
-            row |= {"rms_error": measures["rms_offset"], "max_abs_error": measures["max_offset"]}
-        known = station[np.isfinite(station)]
-        row["driven_length"] = float(known[-1] - known[0]) if known.size else 0.0
-        row["road_length"] = self.route.length
-        return row
+    trajectory, meta = run.trajectory, run.trajectory.meta
+    measures: dict[str, Any] = run.metrics.as_row() if run.metrics else {}
+    del measures["failed"]
+    reason, clause = measures.pop("failed_reason"), measures.pop("failed_because")
+    stations = trajectory.road.get("station", np.empty(0))
+    finite = stations[np.isfinite(stations)]
+    return {
+        "scenario": trajectory.name_of("scenario"),
+        "controller": run.label,
+        **{key: trajectory.name_of(key) for key in ("vehicle", "plant", "tyre")},
+        **{key: meta[key] for key in ("profile", "preview", "speed", "seed")},
+        "period": trajectory.period,
+        **{key.lower(): value for key, value in meta["tuning"].items()},
+        **{key: meta["control"].get(key) for key in ("moves", "scheduler", "solver", "belief", "learning")},
+        "failed": reason or None,
+        "failed_at": measures.pop("failed_at"),
+        "failed_because": clause or None,
+        "driven_length": float(finite[-1] - finite[0]) if finite.size else None,
+        "road_length": None if places.road is None else places.drives[0].length,  # type: ignore[union-attr]
+        **measures,
+    }
 
 
-def _print(route: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
-    from adaptrack.results.answers import length, of_drives
-    from adaptrack.results.drive import console_table
-    from adaptrack.results.road import limits_record
-
+def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     for row in rows:
         if row["failed"]:
+            where = "" if row["driven_length"] is None else f", s = {row['driven_length']:.0f} m,"
+            run = f"{row['scenario']}, {row['controller']}"
             show.say_failed(
-                f"{route.name}, {row['controller']}: at {row['failed_at']:.2f} s, s = {row['driven_length']:.0f} m, "
-                f"the vehicle {row['failed_because']}.",
-                aside=as_json,
+                f"{run}: at {row['failed_at']:.2f} s{where} the vehicle {row['failed_because']}.", aside=as_json
             )
-    if as_json:
-        show.say_json({"rows": rows, "limits": limits_record(route.plan)})
-    else:
-        if not all(row["failed"] for row in rows):
-            show.say(of_drives(rows, length(route.length)))
-        title = f"{route.name}, {route.length:.0f} m, {route.plan.speed.min():.3g}-{route.plan.speed.max():.3g} m/s"
-        print_table(console_table(title, rows))
-    for row in rows:
-        tell_open_qps(row, as_json)
 
 
-def _write_page(out: Path, runs: Sequence[_Run], png: bool) -> Path:
-    from adaptrack.drive.failure import find_failure
-    from adaptrack.drive.path_metrics import PathMetrics
-    from adaptrack.results.drive import write_drive_page
-    from adaptrack.results.record import DriveRecord, Measure
+def _result(given: DriveOptions, loop: Loop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:
+    """The result with learned quantities, notes on speeds, steering and QPs, and the next step."""
+    from adaptrack.results.drive import drive_result
+    from adaptrack.results.road import limits_in_words, limits_record
 
-    units = {each.name: each.metadata["unit"] for each in dataclasses.fields(PathMetrics)} | OTHER_UNITS
-    with show.progress("write the page"):
-        records = []
-        for each in runs:
-            row = each.row
-            measures = [Measure(name, row[name], units[name]) for name in SHOWN if row.get(name) is not None]
-            failed = find_failure(each.run)
-            record = DriveRecord.from_trajectory(
-                each.run, each.route.road, each.car, failed=failed, metrics=measures, predicted=each.predicted
-            )
-            records.append(dataclasses.replace(record, controller=record.controller + each.found_in))
-        return write_drive_page(out, records, command=options.command_line(), png=png)
+    result = drive_result(runs, rows, command=options.command_line())
+    plan = None if loop.places.road is None else loop.places.road.plan
+    notes = [] if plan is None else [limits_in_words(plan)]
+    notes += [note for label, controller in loop.drivers for note in _steering_notes(label, controller, loop)]
+    notes += [
+        f"{row['scenario']}, {row['controller']}: {row['qp_capped'] + row['qp_failed']:,} of {row['driven']:,} QPs "
+        "not solved."
+        for row in rows if row["qp_capped"] + row["qp_failed"]
+    ]  # fmt: skip
+    notes += _stiffness_notes(loop) if result.failed else []
+    tables = [_learned_table(*labelled) for labelled in loop.drivers if labelled[1].learner is not None]
+    limits = None if plan is None else limits_record(plan)
+    return replace(
+        result, tables=[*result.tables, *tables], notes=[note for note in notes if note],
+        record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(given, loop.places, rows)),
+    )  # fmt: skip
+
+
+def _learned_table(label: str, controller: Any) -> ResultTable:
+    """The quantities that a controller has learned of its car, with their intervals."""
+    from adaptrack.base.result import Column, ResultTable
+
+    columns = (
+        Column("quantity", "learned"), Column("value", "value", "", 3), Column("low", "90 % from", "", 3),
+        Column("high", "to", "", 3), Column("unit", "unit"),
+    )  # fmt: skip
+    car = controller.learned()
+    title = f"Learned by {label} in {car.seconds:.0f} s; state: {controller.belief_in_words}"
+    return ResultTable(f"{label} learned", title, columns, [row._asdict() for row in car.intervals], brief=True)
+
+
+def _steering_notes(label: str, controller: Controller, loop: Loop) -> list[str]:
+    """The controller's steering model, and the simulated steering where it differs."""
+    belief, profile = controller.belief, loop.places.profile
+    if belief is None:
+        return []
+    learns = f" {controller.learns}, starting from" if controller.learner is not None else ""
+    notes = [f"Steering model of {label}:{learns} {belief}."]
+    actuator = getattr(loop.plant, "steering", None) or profile.steering
+    delay = profile.delay * controller.period + actuator.dead_time
+    simulated = (actuator.lag, delay, actuator.rate)
+    if not all(map(math.isclose, (belief.lag.value, belief.delay, belief.rate.value), simulated)):
+        notes.append(
+            f"The simulated steering differs: lag {actuator.lag:.4g} s, {delay:.4g} s from measurement to wheels, "
+            f"rate {actuator.rate:.4g} rad/s."
+        )
+    return notes
+
+
+def _stiffness_notes(loop: Loop) -> list[str]:
+    """The remedy where a failed car's model and its tyre disagree about the stiffness."""
+    car, tyre = loop.car, getattr(loop.plant, "tyre", None)
+    if tyre is None:
+        return []
+    if max(abs(math.log(factor)) for factor in car.stiffness_factors(tyre)) < math.log(STIFFNESS_MISMATCH):
+        return []
+    matched = car.matched_to(tyre)
+    return [
+        f"The model of car {car.name!r} has {car.stiffness_front:.0f} and {car.stiffness_rear:.0f} N/rad (a front "
+        f"and a rear tyre), the driven tyre {tyre.name!r} has {matched.stiffness_front:.0f} and "
+        f"{matched.stiffness_rear:.0f}. Write these into the car's file as stiffness_front and stiffness_rear (in "
+        "Python: car.matched_to(tyre)), or drive another tyre."
+    ]
+
+
+def _next_step(given: DriveOptions, places: Places, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
+    """What to do after the runs, and the command."""
+    away = any(row["failed"] or (row["in_lane"] or 0.0) < 1.0 for row in rows)
+    if places.road is not None and away:
+        return _slower(given, places.road)
+    if given.drive.out is None:
+        return "to see the drive on a page", again("--out", "drive")
+    if places.road is None:
+        return "to drive a road", command("drive", "country", "--vehicle", given.car.vehicle)
+    road = (given.place.names[0], *given.place.route.words)
+    words = (*road, "--vehicle", given.car.vehicle, "--profile", places.profile.name)
+    if given.tuning:
+        return "to judge the tuning with other noise", command("evaluate", *words, "--tuning", given.tuning[0])
+    best = min(rows, key=lambda row: row["mse"])["controller"]
+    return f"to tune {best} for this road", command("tune", *words, "--controller", best, "--out", "tuning.toml")
+
+
+def _slower(given: DriveOptions, road: CheckedRoad) -> tuple[str, str]:
+    """After a drive that left its lane: check a road that cannot be driven, else drive more slowly."""
+    route = given.place.route
+    if not road.drivable:
+        words = (given.place.names[0], "--vehicle", given.car.vehicle, *route.words)
+        return "to see the places that cannot be driven", command("road", "check", *words)
+    if route.speed is not None:
+        return "to stay in the lane, drive more slowly", instead("--speed", round(SLOWER * route.speed, 1))
+    comfort = SLOWER * (3.0 if route.lateral_acceleration is None else route.lateral_acceleration)
+    return "to stay in the lane, drive more slowly", instead("--lateral-acceleration", round(comfort, 2))

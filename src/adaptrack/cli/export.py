@@ -66,8 +66,7 @@ class ExportedController:
         InvalidInput
             When the options contradict each other or make none.
         """
-        from adaptrack.cli.drive import tuned
-        from adaptrack.cli.simulate import ControllerSettings, learning_of, make_controller
+        from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning, make_tuned
         from adaptrack.control.scheduling import load_scheduler
 
         if self.tuning is not None and (self.controller or self.scheduler):
@@ -76,13 +75,13 @@ class ExportedController:
             raise InvalidInput(f"--learned {self.learned}: there is no such file; drive --learned writes one.")
         settings = ControllerSettings(
             car, world, world.period, preview=True,
-            learning=learning_of(options.DriveSettings(learn=self.learn or self._unsaid(car), learned=self.learned)),
+            learning=make_learning(self.learn or self._unsaid(car), self.learned),
             schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
             label=self.scheduler or "", computation=computation,
         )  # fmt: skip
         if self.tuning is not None:
-            return tuned(self.tuning, settings)[1]
-        return make_controller(self.controller or settings.usual, settings)[1]
+            return make_tuned(self.tuning, settings)[1]
+        return make_controller(self.controller or settings.default_name, settings)[1]
 
     def _unsaid(self, car: Vehicle) -> bool:
         """Whether nobody says how the steering of the car follows: the profile says it of the simulated world alone."""

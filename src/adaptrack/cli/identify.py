@@ -25,7 +25,7 @@ class IdentifyOptions:
 
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG", help=".csv or .parquet, also of `simulate --out`; several: of one car."),
+        typer.Argument(metavar="LOG", help=".csv or .parquet, also of `drive --out`; several: of one car."),
     ]
     car: Annotated[
         str | None,

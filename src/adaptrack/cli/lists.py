@@ -15,7 +15,7 @@ def scenarios(as_json: options.Json = False) -> None:
         for name, text in list_scenarios().items()
     ]
     show.listing(f"{len(rows)} scenarios", rows, as_json)
-    _say_next("to drive one", rows, as_json, "simulate", "scenario")
+    _say_next("to drive one", rows, as_json, "drive", "scenario")
 
 
 def vehicles(as_json: options.Json = False) -> None:

@@ -14,9 +14,9 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
+from adaptrack.cli.controllers import ControllerSettings, make_controller
 from adaptrack.cli.next_step import again, command, say_next
 from adaptrack.cli.show import Column
-from adaptrack.cli.simulate import ControllerSettings, make_controller
 
 if TYPE_CHECKING:
     from adaptrack.cars.plant import Plant

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle as Car
 
 
+FAILED = 3
+"""The exit code when a run failed."""
+
+
 class MovesName(StrEnum):
     """Parametrisations of the moves."""
 
@@ -80,9 +84,7 @@ Tyre = Annotated[
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
 ]
-Speed = Annotated[
-    float | None, Option("--speed", metavar="V", help="Constant speed (m/s); by default one that is planned.")
-]
+Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")]
 LateralAcceleration = Annotated[
     float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
 ]
@@ -133,12 +135,10 @@ class DriveSettings:
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period; by default the profile's.")
     ] = None
-    learn: Annotated[
-        bool, Option("--learn", help="Let the informed controller learn delay, stiffness and bias while it drives.")
-    ] = False
+    learn: Annotated[bool, Option("--learn", help="Learn delay, stiffness and bias while driving.")] = False
     learned: Annotated[
         Path | None,
-        Option("--learned", metavar="FILE", help="Learn, starting from this TOML file, and write it again."),
+        Option("--learned", metavar="FILE", help="Learn, from and into this TOML file."),
     ] = None
     seed: Annotated[int, Option("--seed", hidden=True, help="Of the sensor noise.")] = 0
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and the trajectories.")] = (

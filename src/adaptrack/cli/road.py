@@ -70,7 +70,7 @@ class RoadOptions:
         Option(
             "--road-seed",
             metavar="N",
-            help="Generated: which road, by default 0; `tune` and `evaluate` take several.",
+            help="Generated: number of the road.",
         ),
     ] = None
     length: Annotated[float | None, Option("--length", metavar="M", help="Generated: length (m), by default 2000.")] = (
@@ -81,7 +81,7 @@ class RoadOptions:
         bool | None,
         Option(
             "--margins/--no-margins",
-            help="Plan no faster than the controller's stability margins hold; by default where a tuning's file says.",
+            help="Plan no faster than the controller's stability margins hold.",
         ),
     ] = None
 

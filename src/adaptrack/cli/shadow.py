@@ -12,7 +12,7 @@ from typer import Option
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions, parts
 from adaptrack.cli.next_step import again, command, next_line
-from adaptrack.cli.simulate import FAILED
+from adaptrack.cli.options import FAILED
 
 if TYPE_CHECKING:
     from adaptrack.studies.shadow import Shadow

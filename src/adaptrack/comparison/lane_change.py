@@ -29,7 +29,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
-from adaptrack.drive.path_metrics import LANE_WIDTH
+from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
 Array = NDArray[np.float64]

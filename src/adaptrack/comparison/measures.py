@@ -9,19 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.cars.outline import Outline
-from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.path_metrics import PathRecord, path_metrics
+from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.tuning.runs import Policy, RunSet
 
 Array = NDArray[np.float64]
 
 RUN = {
-    "rms_error": "rms_offset", "p95_error": "p95_offset", "max_error": "max_offset", "max_corner": "max_corner_error",
-    "steering_rate": "rms_command_rate", "acceleration": "max_acceleration_r79", "jerk": "max_jerk_r79",
+    "rms_error": "rms_error", "p95_error": "p95_error", "max_error": "max_abs_error", "max_corner": "max_corner_error",
+    "steering_rate": "steering_rate_rms", "acceleration": "lateral_acceleration_r79", "jerk": "jerk_r79",
     "duration": "duration",
 }  # fmt: skip
-"""Measures of a run until its end or failure, and the `PathMetrics` that they are: m, m, m, m, rad/s, m/s^2, m/s^3,
+"""Measures of a run until its end or failure, and the `Metrics` that they are: m, m, m, m, rad/s, m/s^2, m/s^3,
 s."""
 OVERALL = ("rms_error", "p95_error")
 """Of the steps of all runs together: RMS and 95th percentile of the offset (m) of the centre of mass."""
@@ -53,7 +52,7 @@ def measure_runs(
 
 def _measured(run: Trajectory, record: PathRecord | None, runs: RunSet, outline: Outline) -> dict[str, Any]:
     whole = compute_metrics(run, failure=runs.failure)
-    path = None if record is None else path_metrics(record, outline).to_dict()
+    path = None if record is None else path_metrics(record, outline).as_row()
     return {
         "cost": runs.failed_cost if whole.failed else whole.cost,
         "failed": whole.failed,

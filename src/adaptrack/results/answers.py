@@ -32,28 +32,7 @@ def length(metres: float) -> str:
     return f"{metres:.3g} m" if metres < 1000.0 else f"{metres / 1000.0:.3g} km"
 
 
-# -- closed loops -----------------------------------------------------------------------------------------------------
-def of_drives(rows: Sequence[Row], what: str) -> str:
-    """How near the reference the best controller stayed, how near the others, how many failed.
-
-    rows: of `measured_row`, one a controller; what: was driven, such as "2.5 km".
-    """
-    ran = sorted((row for row in rows if not row["failed"]), key=_rms)
-    failed = len(rows) - len(ran)
-    if not ran:
-        return f"The car failed on {what}." if failed == 1 else f"All {failed} drives failed on {what}."
-    best, *others = ran
-    text = f"{length(_rms(best))} RMS on {what}, largest {length(best['max_abs_error'])}"
-    if len(rows) > 1:
-        text = f"{best['controller']}: {text}"
-    if others:
-        named = ", ".join(f"{row['controller']} {length(_rms(row))}" for row in others[:MOST_NAMED])
-        text += f"; {named}{', ...' if len(others) > MOST_NAMED else ''}"
-    if len(rows) > 1:
-        text += f"; {failed} of {len(rows)} failed" if failed else "; no run failed"
-    return f"{text}."
-
-
+# -- roads ------------------------------------------------------------------------------------------------------------
 def of_road(summary: Mapping[str, Any], barred: int) -> str:
     """Whether a road can be driven, how long it is, how fast; barred: places that cannot."""
     radius = summary["smallest_radius"]
@@ -63,26 +42,6 @@ def of_road(summary: Mapping[str, Any], barred: int) -> str:
     if barred:
         return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({about})."
     return f"The road can be driven: {about}."
-
-
-def of_runs(rows: Sequence[Row]) -> str:
-    """As `of_drives`, of runs of one scenario or of several."""
-    scenarios = list(dict.fromkeys(row["scenario"] for row in rows))
-    if len(scenarios) == 1:
-        return of_drives(rows, scenarios[0])
-    ran = [row for row in rows if not row["failed"]]
-    failed = len(rows) - len(ran)
-    if not ran:
-        return f"All {len(rows)} runs failed."
-    worst = max(ran, key=lambda row: row["max_abs_error"])
-    at = f"{length(worst['max_abs_error'])}, {worst['controller']} on {worst['scenario']}"
-    if failed:
-        return f"{failed} of {len(rows)} runs failed; the largest error of the others is {at}."
-    return f"None of {len(rows)} runs failed; the largest error is {at}."
-
-
-def _rms(row: Row) -> float:
-    return math.sqrt(row["mse"])
 
 
 # -- certificates -----------------------------------------------------------------------------------------------------

@@ -1,107 +1,148 @@
-"""The result of drives along a road: what came of them, the road from above, signals along it, and their replay."""
+"""The result of drives, through scenarios or along a road: one headline, tables, pictures, provenance, replay."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adaptrack.base.result import Column, Result, ResultTable, Row, where
-from adaptrack.results.answers import length, of_drives
-from adaptrack.results.drive_figures import Drives, above_picture, along_picture, labelled, learned_picture
-from adaptrack.results.record import DriveRecord
-from adaptrack.results.tables import outcomes_table
-from adaptrack.results.words import describe, few, legible, number
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import safe_names
+from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.drive.failure import DISTANCE, SLOW
+from adaptrack.drive.metrics import Metrics, compute_metrics
+from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results.answers import length
+from adaptrack.results.drive_tables import (
+    Shown,
+    console_table,
+    overview_table,
+    scenario_tables,
+)
+from adaptrack.results.learned_picture import learned_picture, learned_quantities
+from adaptrack.results.record import PASSENGER_CAR, DrawnCar, DriveRecord, on_road
+from adaptrack.results.road_pictures import above_picture
+from adaptrack.results.run_pictures import (
+    CREEPING,
+    as_lines,
+    conditions_picture,
+    error_panel,
+    speed_picture,
+    tracking_picture,
+)
+from adaptrack.results.words import (
+    controller_name,
+    few,
+    legible,
+    number,
+    slug,
+    span,
+    title_of,
+)
+from adaptrack.road import Road
+from adaptrack.scenario.profile import load_profile
 
-NEAR_END = 10.0
-"""m, before its end at which an open road counts as driven to the end, and 1 % of its length."""
+_PAPER_FIGURES = {
+    "triple-lane-change": {"speed": "6(a)", "conditions": "7", "tracking": "8"},
+    "general-trajectory": {"speed": "6(b)", "conditions": "9", "tracking": "10"},
+}
+"""The paper's figures of its two tests."""
 
-ERRORS = (
-    Column("rms_offset", "RMS |e|", "m", 3, "root of the mean squared offset from the centre line"),
-    Column("p95_offset", "p95 |e|", "m", 3, "95th percentile of the offset"),
-    Column("max_offset", "Largest |e|", "m", 3),
-)
-BELIEF = (
-    Column("label", "Controller"),
-    Column("belief_learning", "Learning", "%", "percent"),
-    Column("belief_settled", "Settled", "%", "percent"),
-    Column("belief_at_bound", "At a bound", "%", "percent"),
-    Column("belief_contradictory", "Contradictory", "%", "percent"),
-    Column("belief_state", "In the end"),
-)
-CONSOLE = (
-    Column("controller", "controller"),
-    Column("rms_error", "RMS e", "m", 3),
-    Column("max_abs_error", "max |e|", "m", 3),
-    Column("max_corner_error", "corner |e|", "m", 3),
-    Column("in_lane", "in lane", "%", "percent"),
-    Column("max_acceleration", "max a_y", "m/s²", 3),
-    Column("driven_length", "driven", "m", "whole"),
-    Column("result", "result"),
-)
+TRACKING_CAPTION = "Position or speed, tracking error, angle of the front wheels, yaw rate or lateral acceleration. \
+Cross: failed. Grey: the command."
+CONDITIONS_CAPTION = "Lateral gust, friction and adapted tuning. Black: shared by all runs."
+SPEED_CAPTION = "Speed: profile (dashed) and driven."
+ERROR_CAPTION = "Tracking error over time."
+
+Strokes = Mapping[str, Stroke]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run as the page shows it."""
+
+    trajectory: Trajectory
+    label: str = ""
+    """Its name in legends and tables; the controller's name when left out."""
+    metrics: Metrics | None = None
+    """Its measures; computed when left out."""
+    road: Road | None = None
+    """The road that it was driven on: the page then has the road from above and a replay."""
+    car: Vehicle | DrawnCar = PASSENGER_CAR
+    """The car that is drawn on the road."""
+    predicted: PredictedPaths | None = None
+    """The paths that `simulate` kept: the replay draws them."""
 
 
 def drive_result(
-    drives: Sequence[DriveRecord], rows: Sequence[Row] = (), *, title: str = "", command: str = "", created: str = ""
+    runs: Sequence[Run | Trajectory], rows: Sequence[Row] = (), *, title: str = "", command: str = ""
 ) -> Result:
-    """Drives on one road as a result.
+    """Closed-loop runs as a result.
+
+    Runs are grouped by scenario or road; equal labels are numbered. A label keeps its colour in all pictures.
 
     Parameters
     ----------
-    drives
-        One drive, or one of each controller; controllers of one name are numbered.
     rows
-        The measures of each drive, by name.
+        The measures of each run by name, for console and JSON.
     title
-        The road and the controllers when left out.
+        When left out: the scenarios and the controllers.
     command
-        The command line that repeats the drives.
-    created
-        When they were made.
+        The command line that repeats the runs.
 
     Raises
     ------
     InvalidInput
-        When there is no drive, or they are not on one road (the same `Road` object).
+        When there is no run, or runs with a road are not all on the same one.
     """
-    shown = labelled(drives)
-    road, failed = drives[0].road, sum(bool(drive.failed) for drive in drives)
-    headline = f"{number(failed)} of {number(len(drives))} drives failed"
-    answer = outcome(drives[0]) if len(drives) == 1 else of_drives(_errors(shown), length(road.length))
-    learned = any(drive.learned for drive in drives)
+    if not runs:
+        raise InvalidInput("report: at least one run is needed.")
+    scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
+    shown = [run for group in scenarios.values() for run in group]
+    own = strokes(run.label for run in shown)
+    stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
+    failed = [_failure(run) for run in shown if run.metrics.failed]
+    first = shown[0].trajectory
     return Result(
         kind="drive",
-        title=title or f"{legible(road.name)}: {few(shown, 'controller')}",
-        answer=answer,
+        title=title or _title(scenarios),
+        answer=_answer(shown),
         record={"rows": list(rows)},
-        tables=[*_tables(shown), *([] if not rows else [console_table(road.name, rows)])],
-        pictures=[above_picture(shown), along_picture(shown), *([learned_picture(shown)] if learned else [])],
-        failed=failed > 0,
-        headline="Failed" if failed == len(drives) else headline if failed else "",
+        tables=[
+            overview_table(scenarios),
+            *(table for name, group in scenarios.items() for table in scenario_tables(name, group)),
+            *([console_table(f"Profile {first.name_of('profile')}", rows)] if rows else []),
+        ],
+        pictures=_pictures(scenarios, stems, own),
+        failed=bool(failed),
+        headline=_failure_headline(failed, len(shown)),
         values={
-            "drives": list(drives), "names": list(shown), "road": road, "first": drives[0],
-            "cars": _shared(drive.car for drive in drives), "profiles": _shared(drive.profile for drive in drives),
-            "speed": np.concatenate([drive.speed for drive in drives]), "outline": drives[0].shape.outline,
-            "seconds": float(drives[0].time[-1] - drives[0].time[0]),
+            "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
+            "failed_runs": failed, "shown": shown, "records": _records(shown),
+            "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
+                       "road_weight": load_profile("road").move_weight},
         },
         command=command,
-        created=created,
+        created=max(str(run.trajectory.meta.get("created", "")) for run in shown),
     )  # fmt: skip
 
 
 def write_drive_page(
     out_dir: str | os.PathLike[str],
-    drives: Sequence[DriveRecord],
+    runs: Sequence[Run | Trajectory],
     *,
     title: str = "",
     command: str = "",
-    created: str = "",
     png: bool = True,
 ) -> Path:
-    """Write the page on drives on one road, with its replay, and its PNG files into `out_dir`; return the page's path.
+    """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
 
     Parameters are those of `drive_result`; png: whether to write the PNG files.
 
@@ -112,74 +153,150 @@ def write_drive_page(
     StorageError
         When the files cannot be written, see `page.write_result`.
     """
+    return write_page(out_dir, drive_result(runs, title=title, command=command), png=png)
+
+
+def write_page(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:
+    """Write the page of a `drive_result`, with the replay of runs that know their road; return its path."""
     from adaptrack.results.page import write_result
     from adaptrack.results.replay import replay
 
-    result = drive_result(drives, title=title, command=command, created=created)
-    return write_result(out_dir, result, png=png, embedded={"replay": replay(labelled(drives))})
+    drives = _drives(result.values["shown"])
+    return write_result(out_dir, result, png=png, embedded={"replay": replay(drives)} if drives else None)
 
 
-def _errors(drives: Drives) -> list[dict[str, Any]]:
-    """A row a drive, as `of_drives` takes it."""
+# -- groups -----------------------------------------------------------------------------------------------------------
+def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
+    """Scenario -> runs, in the order given, with their measures and distinct labels."""
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        groups.setdefault(run.trajectory.name_of("scenario"), []).append(run)
+    return {name: _labelled(group) for name, group in groups.items()}
+
+
+def _labelled(runs: Sequence[Run]) -> list[Shown]:
+    """The runs of one scenario under distinct labels."""
+    labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
     return [
-        {"controller": label, "mse": drive.rms_offset**2, "max_abs_error": drive.max_offset, "failed": drive.failed}
-        for label, drive in drives.items()
+        _shown(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
+        for i, (label, run) in enumerate(zip(labels, runs, strict=True))
     ]
 
 
-def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
-    """What the console shows of each drive; rows: the measures of each."""
-    return outcomes_table(title, CONSOLE, rows)
+def _shown(label: str, run: Run) -> Shown:
+    trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
+    outline = None if run.car is PASSENGER_CAR else run.car.outline
+    metrics = run.metrics or compute_metrics(trajectory, outline=outline)
+    drive = None if run.road is None else DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
+    return Shown(label, trajectory, metrics, drive)
 
 
-def outcome(drive: DriveRecord) -> str:
-    """What came of a drive: how far it went, or why, when and where it failed."""
-    s, seconds = float(drive.station[-1]), float(drive.time[-1] - drive.time[0])
-    if drive.failed:
-        place = f"at {drive.failed_at:.1f} s, at s = {number(drive.failed_station, 4)} m"
-        return f"Failed {place}: the vehicle {drive.failed}."
-    length, far = drive.road.length, f"{number(s - float(drive.station[0]), 4)} m in {number(seconds)} s"
-    if drive.road.closed:
-        return f"Driven without failure: {far}, {number((s - float(drive.station[0])) / length)} laps."
-    if s < length - NEAR_END - 0.01 * length:
-        return f"Not failed, ended early: {far}; the road is {number(length, 4)} m long."
-    return f"Driven to the end: {far}."
+# -- headlines --------------------------------------------------------------------------------------------------------
+def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
+    """Scenarios and controllers, as long as there are few of them."""
+    labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
+    return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
 
 
-def _shared(names: Iterable[str]) -> str:
-    return ", ".join(dict.fromkeys(describe(name) for name in names))
+def _answer(shown: Sequence[Shown]) -> str:
+    """The smallest RMS error with its largest error; for several scenarios the largest error of all."""
+    kept = [run for run in shown if not run.metrics.failed]
+    failed = f"{len(shown) - len(kept)} of {len(shown)} runs failed."
+    if not kept:
+        return failed
+    best = min(kept, key=lambda run: run.metrics.mse)
+    errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
+    if len(shown) == 1:
+        return errors
+    if len({run.trajectory.name_of("scenario") for run in shown}) > 1:
+        return f"Largest error {length(max(run.metrics.max_abs_error for run in kept))}. {failed}"
+    return f"{best.label}: {errors} {failed}"
 
 
-def _tables(drives: Drives) -> list[ResultTable]:
-    """A row a drive with what came of it, and a row a measure with a column a drive."""
-    errors = [column.name for column in ERRORS]
-    rows: list[dict[str, Any]] = [
-        {"label": label, "failed": bool(drive.failed), "outcome": outcome(drive)}
-        | {name: getattr(drive, name) for name in errors}
-        for label, drive in drives.items()
-    ]
-    kept = [row for row in rows if not row["failed"]]
-    best = [where(rows, [name], _smallest(name, kept)) for name in errors]
-    outcomes = ResultTable(
-        "outcomes", "Offset from the centre line",
-        (Column("label", "Controller"), *ERRORS, Column("outcome", "Outcome")), rows,
-        "Bold: the smallest among the drives that did not fail." if kept else "", best=frozenset().union(*best),
-        alert=where(rows, ["outcome"], lambda row: row["failed"]),
-    )  # fmt: skip
-    measured: dict[tuple[str, str], dict[str, Any]] = {}
-    for i, drive in enumerate(drives.values()):
-        for name, value, unit in drive.metrics:
-            empty = {"measure": name, "unit": unit} | {str(k): None for k in range(len(drives))}
-            measured.setdefault((name, unit), empty)[str(i)] = value
-    columns = [Column(str(i), label, show=3) for i, label in enumerate(drives)]
-    title = f"Of {'each' if len(drives) > 1 else 'the'} drive"
-    heads = (Column("measure", "Measure"), Column("unit", "Unit"))
-    tables = [outcomes, ResultTable("measures", title, (*heads, *columns), list(measured.values()))]
-    states: list[dict[str, Any]] = [{"label": key, **drive.belief} for key, drive in drives.items() if drive.belief]
-    if states:
-        tables.append(ResultTable("belief", "State of the belief, share of the time", BELIEF, states))
-    return tables
+def _failure(run: Shown) -> dict[str, str]:
+    """A failed run: its name, when and why."""
+    where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
+    name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
+    return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
 
-def _smallest(name: str, kept: Sequence[Row]) -> Any:
-    return lambda row: not row["failed"] and row[name] == min(each[name] for each in kept)
+def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
+    """The beginning of the page's heading; empty when no run failed."""
+    if failed and runs == 1:
+        return f"Failed at {failed[0]['at']}: the vehicle {failed[0]['because']}"
+    return f"{number(len(failed))} of {number(runs)} runs failed" if failed else ""
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _drives(shown: Sequence[Shown]) -> dict[str, DriveRecord]:
+    return {run.label: run.drive for run in shown if run.drive is not None}
+
+
+def _pictures(scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], own: Strokes) -> list[Picture]:
+    """The main picture first: the road from above, or the error of the first scenario; then all signals."""
+    groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
+    drives = _drives([run for group in scenarios.values() for run in group])
+    first = next(iter(groups.values()))
+    error = replace(error_panel(as_lines(first, own)), title="")
+    key = [(label, own[label]) for label in first] if len(first) > 1 else []
+    pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
+    if not any(run.road for runs in groups.values() for run in runs.values()):
+        figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
+        speeds = {title_of(name): runs for name, runs in groups.items()}
+        pictures.append(speed_picture(speeds, own, _cite(SPEED_CAPTION, figure)))
+    for name, runs in groups.items():
+        pictures += _signal_pictures(runs, own, stems[name])
+    return pictures
+
+
+def _signal_pictures(runs: Mapping[str, Trajectory], own: Strokes, stem: str) -> list[Picture]:
+    """Tracking, conditions and learned quantities of the runs of one scenario or road."""
+    caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
+    pictures = [tracking_picture(runs, own, f"{stem}-tracking", caption)]
+    caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
+    conditions = conditions_picture(runs, own, f"{stem}-conditions", caption)
+    if conditions.panels[2:] or not any(run.road for run in runs.values()):
+        pictures.append(conditions)
+    if any(learned_quantities(run) for run in runs.values()):
+        pictures.append(learned_picture(runs, own, f"{stem}-learned"))
+    return pictures
+
+
+def _paper_figure(runs: Mapping[str, Trajectory], kind: str) -> str:
+    """The number of the paper's figure of this kind; empty for a scenario that is not the paper's."""
+    return _PAPER_FIGURES.get(next(iter(runs.values())).name_of("scenario"), {}).get(kind, "")
+
+
+def _cite(caption: str, figure: str) -> str:
+    return f"{caption} As the paper's figure {figure}." if figure else caption
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
+    """Names and conditions of the section on one scenario or road."""
+    runs, drive = [run.trajectory for run in group], group[0].drive
+    wind = np.concatenate([run.wind for run in runs])
+    first = runs[0]
+    conditions = {
+        "Plant": ", ".join(filter(None, (first.name_of("plant"), first.name_of("tyre")))),
+        "Duration": f"{number(first.duration)} s, {number(len(first))} control periods of {first.period:g} s",
+        "Speed": f"{span(np.concatenate([run.vx for run in runs]))} m/s",
+        "Friction": span(np.concatenate([run.friction for run in runs])),
+        "Lateral wind": f"{span(wind[:, 1])} m/s",
+        "Longitudinal wind": f"{span(wind[:, 0])} m/s",
+    }
+    if drive is not None:
+        conditions["Road"] = f"{number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
+        conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
+        outline = drive.shape.outline
+        estimated = ", ".join(name.replace("_", " ") for name in outline.estimated) or "nothing"
+        conditions["Drawn car"] = f"{number(outline.length)} by {number(outline.width)} m; estimated: {estimated}"
+    return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
+
+
+def _records(shown: Sequence[Shown]) -> str:
+    """The full provenance of every run as JSON: scenario, profile, plant, car, controller, versions, ..."""
+    records = {
+        f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(shown, 1)
+    }
+    return json.dumps(records, indent=1, ensure_ascii=False)

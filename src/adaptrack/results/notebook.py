@@ -33,9 +33,9 @@ from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import style
 from adaptrack.results.draw import panel_figure, print_figure
-from adaptrack.results.drive_figures import above_picture, along_picture, labelled
-from adaptrack.results.figures import tracking_figure
-from adaptrack.results.record import DrawnCar, DriveRecord
+from adaptrack.results.record import DrawnCar, DriveRecord, on_road
+from adaptrack.results.road_pictures import above_picture
+from adaptrack.results.run_pictures import tracking_picture
 from adaptrack.results.words import INPUTS, controller_name, data_text, legible, number, ratio_with_interval, title_of
 from adaptrack.road import Road
 
@@ -43,18 +43,19 @@ Array = NDArray[np.float64]
 
 
 def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
-    """Signals over time; with a road: from above, and offset, steering and speed along it.
+    """Signals over time; with a road: from above, and error, steering and speed along it.
 
     Raises
     ------
     InvalidInput
         When fewer than two instants lie beside the road.
     """
+    name = controller_name(run.name_of("controller"))
     if road is None:
-        return tracking_figure({controller_name(run.name_of("controller")): run})
-    drive = labelled([DriveRecord.from_trajectory(run, road)])
-    above, along = above_picture(drive), along_picture(drive)
-    panels = [replace(above.panels[0], height=3.2), *along.for_print]
+        return print_figure(tracking_picture({name: run}))
+    above = above_picture({name: DriveRecord.from_trajectory(run, road)})
+    along = tracking_picture({name: on_road(run, road)})
+    panels = [replace(above.panels[0], height=3.2), *along.panels[:3]]
     return print_figure(Picture("run", "", panels, columns=1, row_height=1.35))
 
 

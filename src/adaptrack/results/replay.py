@@ -19,8 +19,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.results.draw import shades
-from adaptrack.results.drive_figures import Drives, outline_stations, road_span, scale_of
 from adaptrack.results.record import Array, DriveRecord
+from adaptrack.results.road_pictures import Drives, outline_stations, road_span, scale_of
 from adaptrack.road import Road
 
 PERIOD = 0.05
@@ -128,7 +128,7 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 
 def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep = sampled(drive)
-    columns = {name: getattr(drive, name)[keep] for name in UNITS if getattr(drive, name) is not None}
+    columns = {name: getattr(drive, name)[keep] for name in UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
     shape = drive.shape
     return {

@@ -10,7 +10,7 @@ from typing import Any
 from adaptrack.base.result import Column, Picture, Result, ResultTable, strokes
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.reproduce import TESTS, Reproduction
-from adaptrack.results.figures import conditions_picture, speed_picture, tracking_picture
+from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
 
 Row = Mapping[str, Any]

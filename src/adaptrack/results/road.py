@@ -89,8 +89,8 @@ def _longest(plan: SpeedPlan) -> list[dict[str, Any]]:
 
 def limits_in_words(plan: SpeedPlan) -> str:
     """Which limits bind on which share of the road; empty where the speed was not planned."""
-    named = ", ".join(f"{limit} on {share:.0%}" for limit, share in plan.shares.items() if share >= 0.005)
-    return f"The speed is bounded by {named} of the road." if named else ""
+    named = ", ".join(f"{limit} {100 * share:.0f} %" for limit, share in plan.shares.items() if share >= 0.005)
+    return f"Speed limited by: {named} of the road." if named else ""
 
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:

@@ -27,7 +27,8 @@ from adaptrack.base.result import (
 )
 from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.drive.prediction import TIMES
-from adaptrack.results.drive_figures import LEARNED, thinned
+from adaptrack.results.learned_picture import LEARNED
+from adaptrack.results.run_pictures import thinned
 from adaptrack.results.words import capital, listed, number
 from adaptrack.studies.observing import PREDICTORS
 from adaptrack.studies.shadow import Shadow, ShadowLog, Warned

@@ -181,18 +181,3 @@ def describe(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(describe(entry) for entry in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def recorded(meta: Mapping[str, Any], entry: str) -> Any:
-    """An entry of a run's provenance, or of its controller's configuration (``control``) there; None if neither."""
-    control = meta.get("control")
-    return meta.get(entry, control.get(entry) if isinstance(control, dict) else None)
-
-
-def setting(entry: str, value: Any) -> str:
-    """An entry of a run's provenance as part of a heading: "road profile", "with preview", "seed 3"."""
-    if entry == "preview":
-        return "with preview" if value else "without preview"
-    suffix = {"profile": " profile", "plant": " plant", "tyre": " tyres", "moves": " moves"}.get(entry, "")
-    prefix = {"seed": "seed ", "vehicle": "vehicle ", "speed": "speed by ", "solver": "QP by "}.get(entry, "")
-    return f"{prefix}{describe(value)}{suffix}"

@@ -29,7 +29,7 @@ def _check_header(header: list[str]) -> None:
     if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(is_number, header))):
         raise InvalidInput(
             "these are points of a road, and a scenario is a table over the time t: drive along them with "
-            "`adaptrack drive FILE`, in Python with RoadDrive(load_road(FILE), speed)."
+            "RoadDrive(load_road(FILE), speed)."
         )
     for name in header:
         if name not in _ALL_COLUMNS:

@@ -1,10 +1,11 @@
-"""The paper's figures 6 to 10: panels over time from runs, one per label, as plain data."""
+"""Signals of runs: over time as in the paper's figures 6 to 10, along a road over the station."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,6 @@ from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.words import data_text, plain, span
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
 """Label -> run, in the order of the legend."""
@@ -40,10 +38,10 @@ Key = list[tuple[str, Stroke]]
 
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 CREEPING = 3.0
-"""m/s, the lowest speed of the paper's operating domain; below it a panel may cut what goes on."""
+"""m/s, the lowest speed of the paper's operating domain; a panel may cut what happens below it."""
 
-SAME_SPEED = 0.05
-"""m/s, the difference below which two runs count as driven at the same speed."""
+CURVE_POINTS = 2400
+"""Instants of a curve: more are thinned to the smallest and the largest of each of half as many parts."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +54,11 @@ class DrawnRun:
     failed: bool
     end: float
     """s, when the scenario ends, whether or not the run got there."""
+
+    @property
+    def x(self) -> Array:
+        """(n,) the horizontal axis: station (m) on a road, else time (s)."""
+        return self.run.road["station"] if self.run.road else self.run.t
 
 
 Lines = Sequence[DrawnRun]
@@ -85,8 +88,8 @@ def as_lines(runs: Runs, own: Mapping[str, Stroke] | None = None) -> list[DrawnR
 
 def _last_drawn(run: Trajectory, failed: int) -> float:
     """s, the last instant with a position, up to the one at which the run failed."""
-    known = np.flatnonzero(np.isfinite(run.Y[: failed + 1]))
-    return float(run.t[known[-1] if known.size else 0])
+    finite = np.flatnonzero(np.isfinite(run.Y[: failed + 1]))
+    return float(run.t[finite[-1] if finite.size else 0])
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
@@ -94,43 +97,61 @@ def _panel(
     title: str, up: Axis, lines: Lines, value: Value, marks: Sequence[Mark], remark: str = "",
     key: Sequence[tuple[str, Stroke]] = (),
 ) -> Panel:  # fmt: skip
-    """A panel over time; value: the quantity whose range its alternative text gives."""
-    time = Axis("Time (s)", float(min(line.run.t[0] for line in lines)), max(line.end for line in lines))
+    """A panel over time or station; value: the quantity whose range its alternative text has."""
+    along = any(line.run.road for line in lines)
     ranges = "; ".join(f"{line.label}: {span(value(line.run))}" for line in lines)
-    return Panel(title, time, up, marks, f"{plain(up.label)}, over time. {ranges}.", remark, key)
+    description = f"{plain(up.label)}, over {'the station' if along else 'time'}. {ranges}."
+    return Panel(title, _station(lines) if along else _time(lines), up, marks, description, remark, key)
+
+
+def _time(lines: Lines) -> Axis:
+    return Axis("Time (s)", float(min(line.run.t[0] for line in lines)), max(line.end for line in lines))
+
+
+def _station(lines: Lines) -> Axis:
+    low = float(min(np.nanmin(line.x, initial=np.inf) for line in lines))
+    high = max(low + 1.0, float(max(np.nanmax(line.x, initial=-np.inf) for line in lines)))
+    return Axis("Station s (m)", low, high + 0.04 * (high - low))  # room for the whole last number
 
 
 def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
-    """The speed profile (dashed), and the speeds that were driven."""
+    """The speed reference (dashed), and the speeds that were driven."""
 
     def speed(run: Trajectory) -> Array:
         return run.vx
 
-    driven = _distinct(lines, speed, SAME_SPEED)
-    if len(driven) == 1:
-        marks: list[Mark] = [Polyline(driven[0][0].run.t, driven[0][1], BACKGROUND, 2.6)]
-    else:
-        marks = _stacked(lines, speed, tolerance=SAME_SPEED)
     forward = all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines)
-    marks += [*_reference(lines, lambda run: run.v_ref), *_crosses(lines, speed)]
-    return _panel(title, Axis("Speed (m/s)", low=0.0 if forward else None), lines, speed, marks)
+    marks = [*(_curve(line, line.run.vx) for line in lines), _shared(lines, lambda run: run.v_ref, REFERENCE)]
+    return _panel(
+        title, Axis("Speed (m/s)", low=0.0 if forward else None), lines, speed, [*marks, *_crosses(lines, speed)]
+    )
 
 
 def tracking_panels(lines: Lines) -> list[Panel]:
-    """Lateral position, tracking error, angle of the front wheels, yaw rate."""
+    """Lateral position, error, angle of the front wheels, yaw rate; on a road speed and acceleration in their place."""
+    if any(line.run.road for line in lines):
+        acceleration = _signal(
+            "Lateral acceleration", "Lateral acc. (m/s²)", lines, lambda run: run.lateral_acceleration
+        )
+        return [error_panel(lines), _steering(lines), speed_panel(lines), acceleration]
     low, high, start = _frame(lines, lambda run: run.Y)
     position = [
-        *(Polyline(line.run.t, line.run.Y, line.stroke) for line in lines),
-        *_reference(lines, lambda run: run.y_ref),
+        *(_curve(line, line.run.Y) for line in lines),
+        _shared(lines, lambda run: run.y_ref, REFERENCE),
         *_crosses(lines, lambda run: run.Y),
     ]
     return [
         _panel("Trajectory tracking", Axis("Lateral position (m)", low, high), lines, lambda run: run.Y, position,
                start),
-        _signal("Tracking error", r"$Y - y_\mathrm{ref}$ (m)", lines, lambda run: run.error),
+        error_panel(lines),
         _steering(lines),
         _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
     ]  # fmt: skip
+
+
+def error_panel(lines: Lines) -> Panel:
+    """The error from the reference or path."""
+    return _signal("Tracking error", "Tracking error e (m)", lines, lambda run: run.error)
 
 
 def _signal(
@@ -139,7 +160,7 @@ def _signal(
 ) -> Panel:  # fmt: skip
     """One curve per run around a zero line."""
     low, high, start = _frame(lines, value)
-    curves = [Polyline(line.run.t, value(line.run), line.stroke) for line in lines]
+    curves = [_curve(line, value(line.run)) for line in lines]
     marks = [*before, Guide("y", [0.0], width=0.7), *curves, *after, *_crosses(lines, value)]
     remark = ",  ".join(filter(None, (start, remark)))
     return _panel(title, Axis(label, low, high, degrees=degrees), lines, value, marks, remark)
@@ -149,10 +170,9 @@ def _steering(lines: Lines) -> Panel:
     """The angle of the wheels, of one run with the command behind it; degrees at the right."""
     command: list[Mark] = []
     if len(lines) == 1:
-        run = lines[0].run
-        command = [Polyline(run.t, run.command, BACKGROUND, 0.8, steps="post")]
+        command = [_curve(lines[0], lines[0].run.command, BACKGROUND, 0.8, steps=True)]
     held: list[Mark] = [
-        Dots(line.run.t[line.run.held], line.run.steering[line.run.held], line.stroke.colour, "square", 3.0)
+        Dots(line.x[line.run.held], line.run.steering[line.run.held], line.stroke.colour, "square", 3.0)
         for line in lines if line.run.held.any()
     ]  # fmt: skip
     remark = "□ held" if held else ""
@@ -160,25 +180,28 @@ def _steering(lines: Lines) -> Panel:
 
 
 def condition_panels(lines: Lines) -> list[Panel]:
-    """Gust, friction and what the controllers were tuned to: an MPC's horizons and weights, else an entry a panel."""
-    entries = {name: line.run for line in lines for name in line.run.tuning}
+    """Gust, friction and adapted tuning: horizons and weights of an MPC, a panel for any other entry."""
+    adapted = {
+        name: line.run for line in lines for name, values in line.run.tuning.items() if np.unique(values).size > 1
+    }
     panels = [_gust(lines), _friction(lines)]
-    panels += [_horizons(lines)] if {"Np", "Nc"} <= set(entries) else []
-    panels += [_weights(lines)] if {"Q", "R"} <= set(entries) else []
-    for name, run in entries.items():
+    panels += [_horizons(lines)] if {"Np", "Nc"} & set(adapted) else []
+    panels += [_weights(lines)] if {"Q", "R"} & set(adapted) else []
+    for name, run in adapted.items():
         if name not in ("Np", "Nc", "Q", "R"):
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
-            marks = _stacked(lines, tuned(name), steps=True)
+            marks = _tuned_curves(lines, name)
             panels.append(_panel(data_text(name), Axis(label), lines, tuned(name), marks))
     return panels
 
 
 def _gust(lines: Lines) -> Panel:
-    marks: list[Mark] = [Guide("y", [0.0], width=0.7), *_shared(lines, lambda run: run.wind[:, 1])]
+    longitudinal = Stroke("ink", "dashed")
+    marks: list[Mark] = [Guide("y", [0.0], width=0.7), _shared(lines, lambda run: run.wind[:, 1])]
     key: Key = []
     if any(line.run.wind[:, 0].any() for line in lines):
-        marks += _shared(lines, lambda run: run.wind[:, 0], "dashed")
-        key = [("lateral", NEUTRAL), ("longitudinal", Stroke("ink", "dashed"))]
+        marks.append(_shared(lines, lambda run: run.wind[:, 0], longitudinal))
+        key = [("lateral", NEUTRAL), ("longitudinal", longitudinal)]
     return _panel("Lateral gust", Axis("Wind speed (m/s)"), lines, lambda run: run.wind[:, 1], marks, key=key)
 
 
@@ -187,7 +210,7 @@ def _friction(lines: Lines) -> Panel:
     dashes: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dash-dot")
     marks: list[Mark] = []
     for dash, (wheel, _) in zip(dashes, wheels, strict=False):
-        marks += _shared(lines, lambda run, wheel=wheel: run.friction[:, wheel], dash)  # type: ignore[misc]
+        marks.append(_shared(lines, lambda run, wheel=wheel: run.friction[:, wheel], Stroke("ink", dash)))  # type: ignore[misc]
     key = [(name, Stroke("ink", dash)) for dash, (_, name) in zip(dashes, wheels, strict=False)]
     up = Axis("Friction coefficient (–)", include=(0.45, 1.0))
     return _panel("Road friction", up, lines, lambda run: run.friction, marks, key=key if len(wheels) > 1 else ())
@@ -195,8 +218,7 @@ def _friction(lines: Lines) -> Panel:
 
 def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
-    marks = [*_stacked(lines, tuned("Np"), steps=True, dash="solid"),
-             *_stacked(lines, tuned("Nc"), steps=True, dash="dotted")]  # fmt: skip
+    marks = [*_tuned_curves(lines, "Np"), *_tuned_curves(lines, "Nc", "dotted")]
     key = [("$N_p$", NEUTRAL), ("$N_c$", Stroke("ink", "dotted"))]
     up = Axis("Control periods (–)", 0.0, top, whole=True)
     return _panel("Horizons", up, lines, tuned("Nc", "Np"), marks, key=key)
@@ -209,41 +231,47 @@ def _weights(lines: Lines) -> Panel:
     if positive.size:
         low = float(10.0 ** np.floor(np.log10(positive.min()) - 0.1))
         high = float(10.0 ** np.ceil(np.log10(positive.max()) + 0.1))
-    marks = [*_stacked(lines, tuned("Q"), steps=True, dash="solid"),
-             *_stacked(lines, tuned("R"), steps=True, dash="dotted")]  # fmt: skip
+    marks = [*_tuned_curves(lines, "Q"), *_tuned_curves(lines, "R", "dotted")]
     key = [("$Q$", NEUTRAL), ("$R$", Stroke("ink", "dotted"))]
     up = Axis("$Q$ (1/m²), $R$ (1/rad²)", low, high, log=True)
     return _panel("Weights", up, lines, tuned("Q", "R"), marks, key=key)
 
 
 def tuned(*names: str) -> Value:
-    """What gives the tuning entry of a run, (n,), or several, (names, n); NaN for what its controller does not have."""
+    """A function that returns tuning entries of a run, (n,) or (names, n); NaN where its controller has none."""
 
     def values(run: Trajectory) -> Array:
-        found = [run.tuning.get(name, np.full(len(run), np.nan)) for name in names]
-        return found[0] if len(found) == 1 else np.stack(found)
+        entries = [run.tuning.get(name, np.full(len(run), np.nan)) for name in names]
+        return entries[0] if len(entries) == 1 else np.stack(entries)
 
     return values
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
-def _stacked(
-    lines: Lines, value: Value, *, tolerance: float = 1e-9, steps: bool = False, dash: Dash | None = None
-) -> list[Mark]:
-    """Curves that may coincide: each is wider by as many as cover it, so that it shows beside them."""
-    curves = [value(line.run) for line in lines]
-    marks: list[Mark] = []
-    for i, (line, values) in enumerate(zip(lines, curves, strict=True)):
-        covers = sum(_coincide(values, other, tolerance) for other in curves[i + 1 :])
-        stroke = line.stroke if dash is None and not steps else Stroke(line.stroke.colour, dash or "solid")
-        marks.append(Polyline(line.run.t, values, stroke, 1.3 + min(0.9 * covers, 2.7), "post" if steps else ""))
-    return marks
+def _curve(
+    line: DrawnRun, values: Array, stroke: Stroke | None = None, width: float = 1.3, steps: bool = False
+) -> Polyline:
+    """A signal of a run over its horizontal axis."""
+    keep = thinned(values)
+    return Polyline(line.x[keep], values[keep], stroke or line.stroke, width, "post" if steps else "")
 
 
-def _coincide(a: Array, b: Array, tolerance: float) -> bool:
-    """Whether two curves lie on each other for a twentieth of the time that both last."""
-    n = min(a.size, b.size)
-    return bool(np.mean(np.abs(a[:n] - b[:n]) <= tolerance) > 0.05) if n else False
+def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
+    """The indices of a curve to draw: all, or the smallest and the largest of each of `most`/2 parts, and the ends."""
+    if values.size <= most:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, most // 2 + 1).astype(int)
+    parts = itertools.pairwise(edges)
+    extremes = [a + int(pick(values[a:b])) for a, b in parts for pick in (np.argmin, np.argmax)]
+    return np.unique([0, *extremes, values.size - 1])
+
+
+def _tuned_curves(lines: Lines, name: str, dash: Dash = "solid") -> list[Mark]:
+    """A tuning entry of all runs that have it, as steps."""
+    return [
+        _curve(line, line.run.tuning[name], Stroke(line.stroke.colour, dash), steps=True)
+        for line in lines if name in line.run.tuning
+    ]  # fmt: skip
 
 
 def _crosses(lines: Lines, value: Value) -> list[Mark]:
@@ -254,35 +282,14 @@ def _crosses(lines: Lines, value: Value) -> list[Mark]:
         finite = np.flatnonzero(np.isfinite(values))
         if finite.size:
             last = finite[-1]
-            marks.append(Dots([line.run.t[last]], [values[last]], line.stroke.colour, "cross", 6.0, at_edge=True))
+            marks.append(Dots([line.x[last]], [values[last]], line.stroke.colour, "cross", 6.0, at_edge=True))
     return marks
 
 
-def _shared(lines: Lines, value: Value, dash: Dash = "solid") -> list[Mark]:
-    """A signal of the scenario: once in ink when all runs share it, else each in its own colour."""
-    distinct = _distinct(lines, value)
-    return [
-        Polyline(line.run.t, values, Stroke("ink" if len(distinct) == 1 else line.stroke.colour, dash))
-        for line, values in distinct
-    ]
-
-
-def _reference(lines: Lines, value: Value) -> list[Mark]:
-    return [Polyline(line.run.t, values, REFERENCE, 1.0) for line, values in _distinct(lines, value)]
-
-
-def _distinct(lines: Lines, value: Value, tolerance: float = 1e-9) -> list[tuple[DrawnRun, Array]]:
-    """The runs whose signal differs; of those that agree as far as both go, the longest."""
-    found: list[tuple[DrawnRun, Array]] = []
-    for line in sorted(lines, key=lambda line: -len(line.run)):
-        values = value(line.run)
-        if not any(
-            np.array_equal(kept.run.t[: values.size], line.run.t)
-            and np.allclose(known[: values.size], values, rtol=0.0, atol=tolerance, equal_nan=True)
-            for kept, known in found
-        ):
-            found.append((line, values))
-    return found
+def _shared(lines: Lines, value: Value, stroke: Stroke = NEUTRAL) -> Mark:
+    """A signal of the scenario, which all runs share, from the longest run."""
+    longest = max(lines, key=lambda line: len(line.run))
+    return _curve(longest, value(longest.run), stroke, 1.0)
 
 
 def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
@@ -300,12 +307,15 @@ def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
 
 
 def _frame(lines: Lines, value: Value) -> tuple[float | None, float | None, str]:
-    """Limits that show what matters, and a remark: the runs that did not fail, and them at driving speed.
+    """The ends of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
 
     A start from standstill may need wild steering for a second or two. Where that would flatten all the rest, it
-    leaves the frame, and a line above the panel says how far it goes.
+    leaves the frame, and a line above the panel says how far it goes. A run that failed does not set the frame; where
+    all failed, the range of their first 95 % does.
     """
-    kept = [line.run for line in lines if not line.failed] or [line.run for line in lines]
+    kept = [line.run for line in lines if not line.failed]
+    if not kept:
+        kept = [line.run.between(end=line.run.t[0] + 0.95 * line.run.duration) for line in lines]
     everything = _extent(np.concatenate([value(run) for run in kept]))
     driving = _extent(np.concatenate([value(run)[run.vx >= CREEPING] for run in kept]))
     if everything is None:
@@ -325,60 +335,32 @@ def _extent(values: Array) -> tuple[float, float] | None:
     return (float(finite.min()), float(finite.max())) if finite.size else None
 
 
-# -- pictures and figures ---------------------------------------------------------------------------------------------
-def speed_key(groups: Sequence[Lines]) -> Key:
-    """The legend of speed panels: what is driven alike by all has one entry."""
-    key = {"Profile": REFERENCE}
-    for lines in groups:
-        driven = _distinct(lines, lambda run: run.vx, SAME_SPEED)
-        key |= {line.label: line.stroke for line in lines} if len(driven) > 1 else {"Driven": BACKGROUND}
-    return list(key.items())
-
-
+# -- pictures ---------------------------------------------------------------------------------------------------------
 def speed_picture(scenarios: Mapping[str, Runs], own: Mapping[str, Stroke] | None = None, caption: str = "") -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
     own = own or strokes(label for runs in scenarios.values() for label in runs)
     lines = {name: as_lines(runs, own) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
-    return Picture("speed", caption, panels, speed_key(list(lines.values())), "speed.png", row_height=2.3)
+    key = {"Profile": REFERENCE} | {line.label: line.stroke for group in lines.values() for line in group}
+    return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
-def tracking_picture(runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "tracking") -> Picture:
-    """Figs. 8 and 10: lateral position, tracking error, angle of the front wheels, yaw rate, over time.
-
-    Along a road Y says nothing: the speed then takes its place in print.
-    """
+def tracking_picture(
+    runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "tracking", caption: str = ""
+) -> Picture:
+    """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
     lines = as_lines(runs, own)
-    panels = tracking_panels(lines)
-    on_road = any(run.road for run in runs.values())
-    printed = [*panels[1:], speed_panel(lines)] if on_road else panels
     key = [("Reference", REFERENCE), *((line.label, line.stroke) for line in lines)]
-    return Picture(name, "", panels, key, f"{name}.png", print_panels=printed)
+    columns = 1 if any(run.road for run in runs.values()) else 2
+    return Picture(
+        name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=1.7 if columns == 1 else 2.25
+    )
 
 
-def conditions_picture(runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "conditions") -> Picture:
-    """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, over time, as far as the runs have them."""
+def conditions_picture(
+    runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "conditions", caption: str = ""
+) -> Picture:
+    """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
     lines = as_lines(runs, own)
     key = [(line.label, line.stroke) for line in lines]
-    return Picture(name, "", condition_panels(lines), key, f"{name}.png")
-
-
-def speed_figure(scenarios: Mapping[str, Runs], own: Mapping[str, Stroke] | None = None) -> Figure:
-    """`speed_picture`, drawn."""
-    return _drawn(speed_picture(scenarios, own))
-
-
-def tracking_figure(runs: Runs, own: Mapping[str, Stroke] | None = None) -> Figure:
-    """`tracking_picture`, drawn."""
-    return _drawn(tracking_picture(runs, own))
-
-
-def conditions_figure(runs: Runs, own: Mapping[str, Stroke] | None = None) -> Figure:
-    """`conditions_picture`, drawn."""
-    return _drawn(conditions_picture(runs, own))
-
-
-def _drawn(picture: Picture) -> Figure:
-    from adaptrack.results.draw import print_figure
-
-    return print_figure(picture)
+    return Picture(name, caption, condition_panels(lines), key, f"{name}.png")

@@ -1,0 +1,194 @@
+"""Scenarios and roads from the words of a command line: which of the two a name or file is, loaded with a profile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.cli import road as roads
+from adaptrack.cli import show
+
+if TYPE_CHECKING:
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.scenario import RoadDrive, Scenario
+    from adaptrack.scenario.profile import Profile
+
+BEYOND_DOMAIN = 1.25
+"""Factor on the highest speed of a car's domain from which a scenario is reported to leave it."""
+
+_ROAD_ENDINGS = (".csv", ".txt", ".toml", ".xml", ".xodr")
+
+
+@dataclass(frozen=True)
+class Places:
+    """The scenarios, or the drive along a road, with their profile."""
+
+    drives: Sequence[Scenario | RoadDrive]
+    profile: Profile
+    road: roads.CheckedRoad | None = None
+
+    def warn(self, car: Vehicle) -> None:
+        """Print what of the road cannot be driven, and scenarios that are much faster than the car's domain."""
+        if self.road is not None:
+            self.road.warn()
+            return
+        for scenario in self.drives:
+            fastest, highest = float(scenario.sample(0.1).speed.max()), car.domain.speed[1]
+            if fastest > BEYOND_DOMAIN * highest:
+                show.say(
+                    f"Warning, {scenario.name}: reaches {fastest:.3g} m/s; the domain of car {car.name!r} ends at "
+                    f"{highest:g} m/s (--option speed=...).",
+                    aside=True,
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceOptions:
+    """What is driven: scenarios or a road, in which profile."""
+
+    names: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENARIO|ROAD...",
+            help=f"Scenarios (a name of `scenarios`, .toml, .csv), or one road: {roads.ROADS}",
+        ),
+    ]
+    profile: Annotated[
+        str | None,
+        Option(
+            "--profile",
+            metavar="NAME",
+            help="paper: ideal [of scenarios]; road: lag, noise, delay [of roads]; or .toml.",
+        ),
+    ] = None
+    option: Annotated[
+        list[str] | None,
+        Option("--option", "-o", metavar="KEY=VALUE", help="Option of a scenario, e.g. speed=20."),
+    ] = None
+    route: roads.RoadOptions
+    laps: Annotated[int | None, Option("--laps", metavar="N", min=1, help="Of a closed road.")] = None
+    wind: Annotated[
+        float | None, Option("--wind", metavar="V", hidden=True, help="Road: along the world's y axis (m/s).")
+    ] = None
+    start_offset: Annotated[
+        float | None,
+        Option("--start-offset", metavar="M", hidden=True, help="Road: from the centre line, to the left (m)."),
+    ] = None
+
+    def load(self, car: Vehicle, held: HoldableSpeed | None = None) -> Places:
+        """The scenarios or the road; held: the speeds that the margins of a tuning hold.
+
+        Raises
+        ------
+        InvalidInput
+            When scenarios and roads are mixed, there are several roads, or an option belongs to the other kind.
+        """
+        from adaptrack.scenario import RoadDrive, load_scenario
+        from adaptrack.scenario.profile import load_profile
+
+        along = [is_road(name) for name in self.names]
+        if any(along) and len(along) > 1:
+            raise InvalidInput("drive: give several scenarios or one road; `evaluate` drives several roads.")
+        profile = load_profile(self.profile or ("road" if along[0] else "paper"))
+        if not along[0]:
+            self._refuse(self._road_words, "a scenario", "roads; a scenario takes --option speed=20")
+            chosen = scenario_options(self.option or [])
+            return Places([load_scenario(name, domain=car.domain, **chosen) for name in self.names], profile)
+        self._refuse(["--option"] if self.option else [], "a road", "scenarios; a road takes --speed")
+        checked = self.route.look(self.names[0], car, profile, held)
+        drive = RoadDrive(
+            checked.road,
+            checked.plan,
+            laps=self.laps or 1,
+            wind=self.wind or 0.0,
+            start_offset=self.start_offset or 0.0,
+        )
+        return Places([drive], profile, checked)
+
+    @property
+    def _road_words(self) -> list[str]:
+        """The options on the command line that only roads have."""
+        values = {"--laps": self.laps, "--wind": self.wind, "--start-offset": self.start_offset}
+        return [*self.route.named, *(name for name, value in values.items() if value is not None)]
+
+    def _refuse(self, words: Sequence[str], kind: str, owner: str) -> None:
+        if words:
+            raise InvalidInput(f"{self.names[0]} is {kind}: {words[0]} is an option of {owner}.")
+
+
+def is_road(name: str) -> bool:
+    """Whether a name or file is a road; otherwise it is a scenario.
+
+    Raises
+    ------
+    UnknownName
+        When there is neither a scenario nor a road of that name.
+    InvalidInput
+        When it may be both; the message has both readings.
+    """
+    from adaptrack.road.generate import KINDS
+    from adaptrack.scenario import list_scenarios
+
+    ending = Path(name).suffix.lower()
+    if ending in (".csv", ".toml") and Path(name).is_file():
+        marks = _csv_marks(Path(name)) if ending == ".csv" else _toml_marks(Path(name))
+        if all(marks):
+            raise InvalidInput(
+                f"{name}: has {' and '.join(marks[0])}, as a scenario, and {' and '.join(marks[1])}, as a road: "
+                "remove one of the two."
+            )
+        return not marks[0]
+    if ending in _ROAD_ENDINGS:
+        return True
+    scenarios = list(list_scenarios())
+    if name in scenarios and name in KINDS:
+        raise InvalidInput(f"{name}: names a scenario and a kind of road; write the one you mean to a file.")
+    if name not in scenarios and name not in KINDS:
+        known = did_you_mean(name, [*scenarios, *KINDS])
+        raise UnknownName(f"no scenario or road is named {name!r}. {known} A file ends in {', '.join(_ROAD_ENDINGS)}.")
+    return name in KINDS
+
+
+def _toml_marks(file: Path) -> tuple[list[str], list[str]]:
+    """The keys of a file that only scenarios, and that only roads have."""
+    from adaptrack.base.files import read_toml
+    from adaptrack.road.toml import RoadFile
+    from adaptrack.scenario import Scenario
+
+    keys, scenario, road = set(read_toml(file)), set(Scenario.model_fields), set(RoadFile.model_fields)
+    return sorted(keys & (scenario - road)), sorted(keys & (road - scenario))
+
+
+def _csv_marks(file: Path) -> tuple[list[str], list[str]]:
+    """The columns of a file, `t` and the reference, that make a scenario, and those that make a road."""
+    try:
+        with file.open(encoding="utf-8-sig", errors="replace") as stream:
+            first = next((line for line in stream if line.strip() and not line.startswith("#")), "")
+    except OSError:
+        return [], []  # the reader of roads says why it cannot be read
+    columns = [word.strip().lower() for word in first.replace(";", ",").split(",")]
+    scenario = ["t", "y_ref"] if {"t", "y_ref"} <= set(columns) else []
+    return scenario, [name for name in ("x", "y", "x_m", "y_m") if name in columns]
+
+
+def scenario_options(words: Sequence[str]) -> dict[str, Any]:
+    """`speed=20`, `friction=[0.9, 0.5]`, `window=full`: values are read as TOML, otherwise taken as text."""
+    import tomllib
+
+    chosen: dict[str, Any] = {}
+    for text in words:
+        key, sign, value = text.partition("=")
+        if not sign:
+            raise InvalidInput(f"--option {text}: write KEY=VALUE, for instance speed=20.")
+        try:
+            chosen[key.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+            chosen[key.strip()] = value.strip()
+    return chosen

@@ -1,0 +1,142 @@
+"""The road from above with the driven line, and the geometry that the replay draws as well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.result import (
+    BACKGROUND,
+    Axis,
+    ColouredLine,
+    Dots,
+    Mark,
+    Panel,
+    Picture,
+    Polygon,
+    Polyline,
+    Remark,
+    Scale,
+)
+from adaptrack.results.record import Array, DriveRecord
+from adaptrack.results.words import data_text, span
+from adaptrack.road import Road
+
+Drives = Mapping[str, DriveRecord]
+"""Label -> drive, in the order of the legend."""
+
+PIECES = 1500
+"""Pieces of the coloured line."""
+
+SAGITTA, LONGEST = 0.01, 20.0
+"""m: largest distance of a drawn edge's chord from its arc, and the longest chord."""
+
+ON_PAGE, IN_COLUMNS, IN_PRINT = (5.2, 4.0), (2.7, 4.0), (7.2, 5.0)
+"""inch, width and largest height of the road from above: alone on the page, one of several, and a printed figure."""
+
+
+def check_one_road(drives: Sequence[DriveRecord]) -> None:
+    """Refuse drives that are not on one road.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no drive, or they are not on one road.
+    """
+    if not drives:
+        raise InvalidInput("a page or picture of drives needs at least one.")
+    if any(drive.road is not drives[0].road for drive in drives):
+        raise InvalidInput("drives on one page must share their road: give all of them the same Road object.")
+
+
+def scale_of(drives: Sequence[DriveRecord]) -> float:
+    """m, the |e| at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
+    high = max(0.05, *(drive.p95_offset for drive in drives))
+    decade = 10.0 ** math.floor(math.log10(high))
+    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= high * (1.0 - 1e-9))
+
+
+def outline_stations(road: Road, start: float, end: float) -> Array:
+    """Arc lengths (m) from `start` to `end` at which the road's edges are drawn: closer together in bends.
+
+    Chords of an arc of curvature kappa that lie within `SAGITTA` of it are sqrt(8 SAGITTA/kappa) long.
+    """
+    s = np.linspace(start, end, max(3, math.ceil(end - start) + 1))
+    density = np.maximum(np.sqrt(np.abs(road.at(s).curvature) / (8.0 * SAGITTA)), 1.0 / LONGEST)
+    count = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(s))])
+    evenly = np.interp(np.linspace(0.0, count[-1], max(3, math.ceil(count[-1]) + 1)), count, s)
+    changes = np.array([*road.width_left.s, *road.width_right.s])
+    return np.union1d(evenly, changes[(changes > start) & (changes < end)])
+
+
+def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
+    """m, m: the part of the road to draw; for an open one with what was driven beyond its ends."""
+    road = drives[0].road
+    if road.closed:
+        return 0.0, road.length
+    low, high = (float(pick([pick(drive.station) for drive in drives])) for pick in (np.min, np.max))
+    return min(0.0, low), max(road.length, high)
+
+
+def above_picture(drives: Drives) -> Picture:
+    """The road from above with the driven line coloured by |e|; a panel a drive, two in a row.
+
+    Raises
+    ------
+    InvalidInput
+        As `check_one_road`.
+    """
+    shown, alone = list(drives.values()), len(drives) == 1
+    check_one_road(shown)
+    ends, high = road_span(shown), scale_of(shown)
+    beyond = max(drive.max_offset for drive in shown) > high
+    scale = Scale(0.0, high, "|e| (m)", colours="deviation", beyond="max" if beyond else "neither")
+    panels = [
+        Panel(
+            "" if alone else data_text(label), Axis("x (m)"), Axis("y (m)"), _marks(drive, scale, ends),
+            f"The road from above with the driven line. {label}: |e| up to {span(np.array([drive.max_offset]))} m.",
+            to_scale=True,
+        )
+        for label, drive in drives.items()
+    ]  # fmt: skip
+    caption = (
+        "The road from above, the driven line coloured by the offset |e| of the centre of mass from the centre line. "
+        "Cross: failed."
+    )
+    width, tallest = ON_PAGE if alone else IN_COLUMNS
+    columns = 1 if alone else 2
+    return Picture(
+        "above", caption, panels, file="above.png", columns=columns,
+        row_height=_row_height(shown, IN_PRINT[0] / columns, IN_PRINT[1]),
+        size=(width, _row_height(shown, width, tallest)),
+    )  # fmt: skip
+
+
+def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> float:
+    """inch, of a panel of that width (inch) that the road fills, within bounds."""
+    road = drives[0].road
+    points = road.at(outline_stations(road, *road_span(drives)))
+    wide, high = (float(np.ptp(values)) for values in points[:2])
+    return min(max(0.75 * width * high / max(wide, 1.0) + 0.8, 0.45 * width), tallest)
+
+
+def _marks(drive: DriveRecord, scale: Scale, ends: tuple[float, float]) -> list[Mark]:
+    left, right = drive.road.edges(outline_stations(drive.road, *ends))
+    surface = np.concatenate([left, right[::-1]])
+    pick = np.unique(np.linspace(0, len(drive) - 1, PIECES + 1).astype(int))
+    worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
+    x, y = float(drive.x[0]), float(drive.y[0])
+    marks: list[Mark] = [
+        Polygon(surface[:, 0], surface[:, 1], ground="grid"),
+        *(Polyline(edge[:, 0], edge[:, 1], BACKGROUND, width=0.6) for edge in (left, right)),
+        ColouredLine(drive.x[pick], drive.y[pick], worst, scale),
+        Dots([x], [y], "ink", size=4.0),
+        Remark(x, y, "start"),
+    ]
+    if drive.failed:
+        x, y = float(drive.x[-1]), float(drive.y[-1])
+        marks += [Dots([x], [y], "ink", "cross", 8.0), Remark(x, y, "failed", (6.0, -10.0))]
+    return marks
