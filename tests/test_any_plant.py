@@ -20,8 +20,8 @@ from adaptrack.cars import plant as plant_module
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
-from adaptrack.studies.tune_car import TuningEffort, tune
 from adaptrack.tuning.campaign import run_campaign
+from adaptrack.tuning.car import TuningEffort, tune
 from adaptrack.tuning.config import CampaignConfig, Plan
 from adaptrack.tuning.constant_file import load_tuning
 from adaptrack.tuning.evaluator import tuned_mpc
@@ -214,7 +214,7 @@ def test_a_plugin_is_named_with_its_file_before_its_code_runs(monkeypatch, tmp_p
 @pytest.fixture
 def adapt(monkeypatch, registered, tmp_path):
     """The command, with a constant that is found quickly."""
-    monkeypatch.setattr("adaptrack.studies.tune_car.tune", lambda *given, **more: tune(*given, effort=SMALL, **more))
+    monkeypatch.setattr("adaptrack.tuning.car.tune", lambda *given, **more: tune(*given, effort=SMALL, **more))
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["adaptrack", "adapt", "paper", "--out", str(tmp_path / "out"), *arguments])
@@ -226,7 +226,7 @@ def adapt(monkeypatch, registered, tmp_path):
 @pytest.mark.compiled
 @pytest.mark.parametrize("passed", [True, False])
 def test_adapt_writes_the_car_and_its_constant_and_ends_by_what_was_found(adapt, monkeypatch, tmp_path, passed):
-    monkeypatch.setattr("adaptrack.studies.tune_car.TunedCar.passed", property(lambda self: passed))
+    monkeypatch.setattr("adaptrack.tuning.car.TunedCar.passed", property(lambda self: passed))
     assert adapt() == (0 if passed else 3)
     car, constant = load_vehicle(tmp_path / "out" / "paper.toml"), load_tuning(tmp_path / "out" / "constant.toml")
     assert (car.name, constant.vehicle, constant.controller) == ("paper", "paper", "informed")

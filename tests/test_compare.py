@@ -12,18 +12,18 @@ import pytest
 
 import adaptrack as at
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, UnknownName
+from adaptrack.base.statistics import ratio
 from adaptrack.cars.plant import DualTrack
+from adaptrack.comparison import run as study
 from adaptrack.comparison.cells import run_cell
 from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
-from adaptrack.comparison.statistics import ratio
+from adaptrack.comparison.run import list_comparisons, load_comparison, run_comparison
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import MPC, About, about_controller, list_controllers, registry
 from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
-from adaptrack.studies import compare as study
-from adaptrack.studies.compare import list_comparisons, load_comparison, run_comparison
 
 TINY: dict[str, Any] = {
     "name": "tiny", "contenders": ["informed", "pure-pursuit"], "cars": ["paper"], "profiles": ["road"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptrack.comparison.statistics import Ratio
+from adaptrack.base.statistics import Ratio
 from adaptrack.comparison.table import Comparison, Role
 from adaptrack.results import comparison_answers as answers
 

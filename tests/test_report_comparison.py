@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from adaptrack.base.result import BACKGROUND, SERIES
-from adaptrack.comparison.statistics import binned_geometric_mean, importance
+from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, Role
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Guarded, Learned, StabilityMap, Table
+from adaptrack.control.scheduling.sensitivity import importance
 from adaptrack.results import comparison_pictures as drawn
 from adaptrack.results import style, write_result
 from adaptrack.results.comparison import comparison_result

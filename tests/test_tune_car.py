@@ -10,7 +10,7 @@ import pytest
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.control.controllers import MPC
-from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
+from adaptrack.tuning.car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 
 SMALL = TuningEffort(

@@ -185,7 +185,7 @@ _PUBLIC = {
         "load_campaign",
     ),
     "tuning.campaign": ("run_campaign",),
-    "studies.tune_car": ("TunedCar", "TuningEffort", "tune"),
+    "tuning.car": ("TunedCar", "TuningEffort", "tune"),
     "tuning.dataset": (
         "DataSet",
         "list_datasets",
@@ -199,7 +199,7 @@ _PUBLIC = {
     ),
     "learning.adaptation.config": ("load_adaptation",),
     "studies.adapt": ("adapt",),
-    "studies.shadow": ("Shadow", "shadow"),
+    "identification.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
     "export.fmu": ("export_fmu",),
     "export.page_file": ("export_page",),
@@ -319,6 +319,7 @@ if TYPE_CHECKING:
     from adaptrack.export.fmu import export_fmu
     from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
+    from adaptrack.identification.shadow import Shadow, shadow
     from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.training import train
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
@@ -326,9 +327,8 @@ if TYPE_CHECKING:
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scenario.profile import Profile, list_profiles, load_profile
     from adaptrack.studies.adapt import adapt
-    from adaptrack.studies.shadow import Shadow, shadow
-    from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
     from adaptrack.tuning.campaign import run_campaign
+    from adaptrack.tuning.car import TunedCar, TuningEffort, tune
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.tuning.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.tuning.objective import Objective

@@ -15,7 +15,7 @@ from adaptrack.cli.next_step import command, say_next
 from adaptrack.cli.simulate import FAILED
 
 if TYPE_CHECKING:
-    from adaptrack.studies.tune_car import TunedCar
+    from adaptrack.tuning.car import TunedCar
 
 CONSTANT = "constant.toml"
 """The file of the tuning."""
@@ -51,7 +51,7 @@ def adapt(given: AdaptOptions) -> None:
 
     The exit code is 3 when the car leaves the road with its constant, or the certificate finds that loop unstable.
     """
-    from adaptrack.studies.tune_car import tune
+    from adaptrack.tuning.car import tune
 
     options.load_plugins(given.plugin)
     car = _one(given.car)

@@ -13,7 +13,7 @@ from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
 
 if TYPE_CHECKING:
-    from adaptrack.studies.compare import Compared
+    from adaptrack.comparison.run import Compared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,9 +82,9 @@ def compare(given: CompareOptions) -> None:
     that a search found on training roads; a schedule brings its own. Ranks differ only where the intervals part. Failed
     runs are counted in the table; the exit code is 0.
     """
+    from adaptrack.comparison.run import TABLE, load_comparison, run_comparison
     from adaptrack.results.page import write_result
     from adaptrack.results.side_by_side import side_by_side_result
-    from adaptrack.studies.compare import TABLE, load_comparison, run_comparison
 
     options.load_plugins(given.plugin)
     if given.names:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.shown import figure_of, html_of
-from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio, regret_percentiles
+from adaptrack.base.statistics import Ratio, geometric_mean, ratio, regret_percentiles
 from adaptrack.drive.failure import Failure
 
 Array = NDArray[np.float64]

@@ -11,10 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 from adaptrack.base.result import Column, Result, ResultTable, Row, where
+from adaptrack.base.statistics import geometric_mean, regret_percentiles
 from adaptrack.comparison.contenders import shown_as
-from adaptrack.comparison.statistics import geometric_mean, importance, regret_percentiles
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule
+from adaptrack.control.scheduling.sensitivity import importance
 from adaptrack.results.comparison_answers import of_schedules
 from adaptrack.results.comparison_pictures import (
     MAPPED_RUNS,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from adaptrack.comparison.statistics import Ratio
+from adaptrack.base.statistics import Ratio
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import road_rows, standing_rows
 from adaptrack.results.answers import length

@@ -22,9 +22,10 @@ from adaptrack.base.result import (
     Scale,
     Stroke,
 )
-from adaptrack.comparison.statistics import binned_geometric_mean, outputs_of, regret_percentiles
+from adaptrack.base.statistics import binned_geometric_mean, regret_percentiles
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule
+from adaptrack.control.scheduling.sensitivity import outputs_of
 from adaptrack.results.comparison_words import (
     MAPPED,
     OPTIMUM,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from adaptrack.base.result import BACKGROUND, SERIES, Stroke, strokes
-from adaptrack.comparison.statistics import Ratio, geometric_mean
+from adaptrack.base.statistics import Ratio, geometric_mean
 from adaptrack.comparison.table import Comparison
 from adaptrack.results.words import counted, listed, number, title_of
 

@@ -36,7 +36,7 @@ from adaptrack.base.result import (
     strokes,
     where,
 )
-from adaptrack.comparison.statistics import ratio
+from adaptrack.base.statistics import ratio
 from adaptrack.results.answers import of_dataset
 from adaptrack.results.maps import Cells, edges_around
 from adaptrack.results.notebook import html

@@ -25,13 +25,13 @@ from adaptrack.base.result import (
     Stroke,
     where,
 )
+from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import about_controller
 from adaptrack.results.comparison_answers import on_cars
 from adaptrack.results.dots import Dot, dots_panel, notes
 from adaptrack.results.words import counted, data_text, number, span
-from adaptrack.studies.compare import Compared
 
 OURS, PAPER, OTHERS = SERIES[0], SERIES[1], "muted"
 """Colours of our controllers, the paper's, and all others."""

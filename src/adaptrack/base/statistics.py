@@ -1,7 +1,4 @@
-"""Statistics of measures: geometric means, ratios with their 95 % intervals, and what moves a schedule's output.
-
-Every interval of a ratio is one of `ratio`, in tables and in the sentences beside them.
-"""
+"""Statistics of measures: geometric means, and ratios with their 95 % bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.scheduling import Schedule, SchedulingVariables
 
 Array = NDArray[np.float64]
 
@@ -96,34 +92,6 @@ def binned_geometric_mean(values: Array, x: Array, y: Array, cells: int) -> tupl
     total = np.histogram2d(y, x, (y_edges, x_edges), weights=np.log(values))[0]
     mean = np.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0))
     return x_edges, y_edges, mean
-
-
-def outputs_of(schedule: Schedule, x: Array) -> Array:
-    """(n, 3) Np, Nc and log10 R/Q at inputs (n, D)."""
-    rows = np.zeros((len(x), len(SchedulingVariables._fields)))
-    rows[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = x
-    Np, Nc, Q, R = schedule.batch(rows).T
-    return np.column_stack([Np, Nc, np.log10(R / Q)])
-
-
-def importance(schedule: Schedule, samples: int = 512, seed: int = 0) -> dict[str, float]:
-    """In how much of the tuning's variance over the domain each input has a part: total Sobol index, 0..1.
-
-    The mean over Np, Nc and log10 R/Q, by the estimator of M. J. W. Jansen, "Analysis of variance designs for model
-    output" (1999).
-    """
-    rng = np.random.default_rng((seed, 0x50B0))
-    low, high = schedule.domain.T
-    x = rng.uniform(low, high, (samples, len(low)))
-    here = outputs_of(schedule, x)
-    variance = here.var(axis=0)
-    found = {}
-    for i, name in enumerate(schedule.inputs):
-        moved = x.copy()
-        moved[:, i] = rng.uniform(low[i], high[i], samples)
-        change = ((outputs_of(schedule, moved) - here) ** 2).mean(axis=0) / 2.0
-        found[name] = float(np.mean(np.divide(change, variance, out=np.zeros(3), where=variance > 0.0)))
-    return found
 
 
 class Interval(NamedTuple):

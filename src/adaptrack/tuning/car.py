@@ -17,10 +17,10 @@ from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.checked import checked, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import tells
+from adaptrack.base.statistics import Ratio, geometric_mean, ratio
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
