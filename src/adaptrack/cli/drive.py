@@ -159,11 +159,11 @@ def _next_step(given: DriveOptions, rows: Sequence[dict[str, Any]], drivable: bo
     if how.out is None:
         return "to see the drive on a page", again("--out", "drive")
     if given.tuning:
-        judged = ("--profile", given.profile, "--tuning", given.tuning[0])
-        return "to judge the tuning with other noise", command("evaluate", given.road, *here, *judged)
+        judged = ("--vehicle", given.car.vehicle, "--profile", given.profile, "--tuning", given.tuning[0])
+        return "to judge the tuning with other noise", command("compare", given.road, *judged)
     best = min(rows, key=lambda row: row["mse"])["controller"]
-    sought = ("--profile", given.profile, "--controller", best, "--out", "tuning.toml")
-    return f"to seek a tuning of {best} for this road", command("tune", given.road, *here, *sought)
+    where = ("--profile", given.profile, "--controller", best, "--out", "tuned")
+    return f"tune {best} for this road", command("tune", given.car.vehicle, "--road", given.road, *where)
 
 
 def _kept(given: DriveOptions) -> HoldableSpeed | None:

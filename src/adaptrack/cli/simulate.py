@@ -84,7 +84,7 @@ class SimulateOptions:
     """Options of `adaptrack simulate`."""
 
     scenarios: Annotated[
-        list[str], typer.Argument(metavar="SCENARIO...", help="Names (see `scenarios`) or .toml/.csv files.")
+        list[str], typer.Argument(metavar="SCENARIO...", help="Names (see `list scenarios`) or .toml/.csv files.")
     ]
     controller: Annotated[
         list[str] | None,

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.comparison.config import load_setting
 from adaptrack.comparison.lane_change import (
     CleanSpeed,
     Clearance,
@@ -25,6 +26,8 @@ from adaptrack.comparison.lane_change import (
     clearance,
     coasting_plan,
     driven_line,
+    iso_3888_1,
+    iso_3888_2,
     scan_speeds,
 )
 from adaptrack.control.controllers import Controller
@@ -195,6 +198,7 @@ class EntrySpeed:
         lowest = self.found.tried[min(self.found.tried)]
         return {
             "vehicle": self.test.car.name,
+            "profile": self.test.profile.name,
             "controller": self.name,
             "tuned": self.tuned,
             "clean": _kmh(self.found.speed),
@@ -241,13 +245,53 @@ def entry_speed(
     )  # fmt: skip
 
 
-def entry_speeds(
-    test: LaneChangeTest, controllers: Sequence[tuple[str, Controller]], speeds: Sequence[float],
-    tune_at: float | None,
+class _Grid(NamedTuple):
+    """Track and entry speeds of a lane change."""
+
+    track: Callable[[float], Track]
+    """from the car's width (m)"""
+    speeds: tuple[float, ...]
+    """km/h, tried from the lowest up"""
+    tuned_at: float
+    """km/h"""
+
+
+LANE_CHANGES = {
+    "iso3888-1": _Grid(iso_3888_1, tuple(range(60, 171, 2)), 80.0),
+    "iso3888-2": _Grid(iso_3888_2, tuple(range(24, 91)), 45.0),
+}
+"""By name: the double lane change and the obstacle avoidance."""
+CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
+"""The default controllers of `compare_entry_speeds`."""
+
+
+def compare_entry_speeds(
+    lane_change: str, cars: Sequence[str], profiles: Sequence[str], controllers: Sequence[str] | None = None, *,
+    tuned: bool = True, progress: Callable[[str, int, int], None] | None = None,
 ) -> Iterator[EntrySpeed]:  # fmt: skip
-    """`entry_speed` of several controllers: with their own tuning, and tuned at a speed (m/s; None: not)."""
-    for name, controller in controllers:
-        yield entry_speed(test, name, controller, speeds)
-        if tune_at is not None and name in SEARCHED:
-            tuning, _ = tune_for_track(test, name, controller, tune_at)
-            yield entry_speed(test, name, controller, speeds, tuning)
+    """`entry_speed` of controllers on cars in profiles, with their default tuning and tuned for the track.
+
+    lane_change: one of `LANE_CHANGES`; cars: see `load_setting`; controllers: registered names, by default
+    `CONTROLLERS`; tuned: whether those in `SEARCHED` are also tuned; progress: called with (what, done, in all).
+
+    Raises
+    ------
+    AdaptrackError
+        When a name is unknown, or a plant is not compiled.
+    """
+    grid = LANE_CHANGES[lane_change]
+    speeds = [speed / 3.6 for speed in grid.speeds]
+    settings = [load_setting(car, profile) for profile in dict.fromkeys(profiles) for car in dict.fromkeys(cars)]
+    names = list(dict.fromkeys(controllers or CONTROLLERS))
+    for i, setting in enumerate(settings):
+        if not isinstance(setting.plant, Plant):
+            raise InvalidInput(f"{setting.car.name}: a lane change needs a compiled plant, not one in Python.")
+        test = LaneChangeTest(setting.car, setting.plant, grid.track(setting.car.outline.width), setting.profile)
+        for k, name in enumerate(names):
+            if progress is not None:
+                progress(f"{setting.car.name}, {name}", i * len(names) + k, len(settings) * len(names))
+            controller = setting.controller(name)
+            yield entry_speed(test, name, controller, speeds)
+            if tuned and name in SEARCHED:
+                tuning, _ = tune_for_track(test, name, controller, grid.tuned_at / 3.6)
+                yield entry_speed(test, name, controller, speeds, tuning)

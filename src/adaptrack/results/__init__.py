@@ -4,7 +4,7 @@
 * `page` writes the page of a result by the template of its kind (`templates/`).
 * `draw` makes figures from pictures, which are plain data; `style` says how every picture looks.
 * `identify`, `shadow`, `road`, `certificate`, `drive`, `runs`, `reproduce`, `dataset`, `comparison`,
-  `road_comparison` and `side_by_side` make results of what the rooms below found; `figures` the figures 6 to 10 of the
+  `compare`, `lane_change` and `tuning` make results of what the rooms below found; `figures` the figures 6 to 10 of the
   paper, `drive_figures` a road from above and signals along it; `answers`, `comparison_answers` and
   `comparison_words` sentences.
 * `notebook` is what objects show of themselves there, `shown` which form belongs to which type.

@@ -128,21 +128,6 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-# -- lane changes -----------------------------------------------------------------------------------------------------
-def of_lane_changes(rows: Sequence[Row]) -> str:
-    """The controller with the highest clean entry speed on each car, and the others; rows: of `EntrySpeed.row`."""
-    sentences = []
-    for car in dict.fromkeys(row["vehicle"] for row in rows):
-        clean: dict[str, float] = {}
-        for row in rows:
-            if row["vehicle"] == car:
-                clean[row["controller"]] = max(clean.get(row["controller"], 0.0), row["clean"] or 0.0)
-        best, *others = sorted(clean, key=lambda name: -clean[name])
-        named = "".join(f"; {name} to {clean[name]:.0f}" for name in others[:MOST_NAMED])
-        sentences.append(f"{car} with {best}: clean up to {clean[best]:.0f} km/h{named}.")
-    return "\n".join(sentences)
-
-
 # -- cars -------------------------------------------------------------------------------------------------------------
 def of_car(vehicle: Vehicle) -> str:
     """What a car is like to steer, and how much of it is estimated."""
