@@ -19,11 +19,10 @@ from adaptrack.cli import comparison as shown
 from adaptrack.comparison import evaluate
 from adaptrack.control.controllers import Tuning, published_mpc, registry
 from adaptrack.control.controllers.informed import informed_tuning
-from adaptrack.control.scheduling import Constant, list_schedulers
+from adaptrack.control.scheduling import Constant
 from adaptrack.learning.adaptation import config as configuration
 from adaptrack.learning.adaptation import recipes, splits
-from adaptrack.learning.adaptation.config import load_adaptation
-from adaptrack.studies.adapt import CONTENDERS, shipped
+from adaptrack.studies.adapt import shipped
 from small_chain import learned, write
 
 EVALUATED = {"view", "known_as", "reference", "contender", "controller", "runs", "cost_geomean", "regret_geomean",
@@ -65,7 +64,7 @@ def places(tmp_path):
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("adapt van", ["--out"]),
+        ("tune van", ["--out"]),
         ("adaptation raod --out {out}", ["no adaptation is named 'raod'", "Did you mean 'road'"]),
         ("adaptation nowhere.toml --out {out}", ["nowhere.toml", "cannot be read"]),
         ("adaptation {grid} --out {out}", ["paper-grid", "Sobol"]),
@@ -104,7 +103,7 @@ def places(tmp_path):
         ("train --model nn --out {out}/nn.json", ["--data"]),
         ("train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
         ("train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
-        ("schedulers --jason", ["--jason"]),
+        ("list --jason", ["--jason"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, places, command, words):
@@ -153,13 +152,13 @@ def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypa
     assert "best constant" in err
 
 
-@pytest.mark.parametrize("command", ["adaptation", "evaluate-schedules", "certify", "schedulers", "train"])
+@pytest.mark.parametrize("command", ["adaptation", "evaluate-schedules", "certify", "train"])
 def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     options = {
         "adaptation": ["--out", "ADAPTATION", "--workers"],
         "evaluate-schedules": ["--schedulers", "--conditions", "--told", "sobol:N"],
         "certify": ["--profile", "--vehicle", "--feasible", "--mismatch", "--out"],
-        "schedulers": [], "train": ["--data", "--model", "--targets"],
+        "train": ["--data", "--model", "--targets"],
     }[command]  # fmt: skip
     shown = "--help-all" if command in ("adaptation", "evaluate-schedules", "certify") else "--help"
     code = (
@@ -178,20 +177,6 @@ def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(monkeypat
 
 
 # -- what is right is done --------------------------------------------------------------------------------------------
-def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
-    code, out, _ = run(monkeypatch, capsys, "schedulers", "--json")
-    rows = strict(out)["rows"]
-    assert code == 0
-    assert [row["name"] for row in rows] == list_schedulers()
-    assert {row["contender"] for row in rows} <= set(CONTENDERS)
-    assert {(row["car"], row["profile"]) for row in rows} == {("paper", "road")}
-    inputs = {row["name"]: row["inputs"] for row in rows}
-    assert inputs["road-nn"] == ", ".join(load_adaptation("road").learning.inputs)
-    code, out, _ = run(monkeypatch, capsys, "schedulers")
-    assert code == 0
-    assert all(name in out for name in list_schedulers())
-
-
 @pytest.mark.compiled
 def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeypatch, capsys, places):
     config = write(places["out"], name="road")

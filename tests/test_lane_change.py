@@ -2,17 +2,17 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import get_plant
 from adaptrack.cars.vehicle import GRAVITY, load_vehicle
-from adaptrack.cli import manoeuvre
+from adaptrack.cli.app import app
+from adaptrack.comparison import entry_speed as module
 from adaptrack.comparison.entry_speed import (
     TUNING_SEEDS,
     LaneChangeTest,
@@ -213,26 +213,16 @@ class TestEntrySpeed:
 
 
 @pytest.mark.compiled
-class TestCommand:
-    @pytest.fixture
-    def command(self, monkeypatch, capsys):
-        def run(*arguments):
-            monkeypatch.setattr(sys, "argv", ["adaptrack", "manoeuvre", *arguments])
-            monkeypatch.setenv("COLUMNS", "80")
-            code = cli.main()
-            return code, *capsys.readouterr()
-
-        return run
-
-    def test_a_lane_change_gives_a_table_of_80_columns_and_a_picture(self, command, monkeypatch, tmp_path):
-        track = ("iso-3888-2", [30.0, 35.0, 80.0], 40.0)
-        monkeypatch.setitem(manoeuvre.LANE_CHANGES, "obstacle-avoidance", track)
-        asked = ("obstacle-avoidance", "--vehicle", "compact-ev", "--controller", "pure-pursuit")
-        code, out, _ = command(*asked, "--out", str(tmp_path))
-        assert code == 0
-        assert max(map(len, out.replace(str(tmp_path), "").splitlines()[1:-1])) <= 80
-        assert (tmp_path / "obstacle-avoidance-compact-ev.png").read_bytes().startswith(b"\x89PNG")
-        code, out, _ = command(*asked, "--no-tune", "--json")
-        (row,) = json.loads(out)["rows"]
-        assert (row["vehicle"], row["controller"], row["tuned"]) == ("compact-ev", "pure-pursuit", False)
-        assert len(row["margins"]) == 3
+def test_the_command_gives_a_table_and_a_page(monkeypatch, tmp_path):
+    grid = module.LANE_CHANGES["iso3888-2"]._replace(speeds=(30.0, 35.0, 80.0), tuned_at=40.0)
+    monkeypatch.setitem(module.LANE_CHANGES, "iso3888-2", grid)
+    command = ["compare", "--lane-change", "iso3888-2", "--vehicle", "compact-ev", "--controller", "pure-pursuit"]
+    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.exception
+    assert "Clean to" in done.stdout
+    assert (tmp_path / "compact-ev-road.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads(CliRunner().invoke(app, [*command, "--budget", "0", "--json"]).stdout)["rows"]
+    assert [(row["vehicle"], row["controller"], row["tuned"]) for row in rows] == [
+        ("compact-ev", "pure-pursuit", False)
+    ]
+    assert len(rows[0]["margins"]) == 3

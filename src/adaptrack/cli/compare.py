@@ -56,6 +56,9 @@ class CompareOptions:
     budget: Annotated[
         int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: default tunings only.")
     ] = None
+    length: Annotated[
+        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+    ] = None
     seeds: Annotated[
         int | None, Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of the judgement.")
     ] = None
@@ -79,7 +82,8 @@ class CompareOptions:
     def changes(self) -> dict[str, Any]:
         """The fields that replace those of the configuration."""
         values = {
-            "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "budget": self.budget,
+            "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
+            "budget": self.budget,
             "seeds": None if self.seeds is None else list(range(self.seeds)),
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
@@ -153,6 +157,7 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
         "ROAD": settings.road,
         "--tuning": settings.tuning,
         "--config": settings.config,
+        "--length": settings.length,
         "--seeds": settings.seeds,
         "--budget N": settings.budget,
     }

@@ -104,6 +104,7 @@ NAMES: dict[Kind, tuple[Callable[[], Rows], str, tuple[str, ...]]] = {
 """By kind: its rows, and the command that takes a name."""
 
 
+@options.grouped
 def list_names(
     kind: Annotated[
         Kind | None, typer.Argument(metavar="KIND", help=f"{', '.join(Kind)}; by default the names of all kinds.")
@@ -111,7 +112,7 @@ def list_names(
     plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
-    """List the names of cars, roads, controllers, ..."""
+    """List the names of cars, roads, controllers."""
     options.load_plugins(plugin)
     if kind is None:
         rows = [{"kind": str(kind), "names": ", ".join(row["name"] for row in NAMES[kind][0]())} for kind in Kind]

@@ -45,6 +45,9 @@ class TuneOptions:
         str | None,
         Option("--controller", metavar="NAME", help="On given roads: see `list controllers`; by default informed."),
     ] = None
+    length: Annotated[
+        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+    ] = None
     runs: Annotated[
         int | None,
         Option("--runs", metavar="N", min=1, help="On given roads: closed loops of the search, default 300 tunings."),
@@ -87,7 +90,10 @@ def _check_options(settings: TuneOptions) -> None:
     if settings.road:
         unused, remedy = {"--speed": settings.speed, "--friction": settings.friction}, "leave out --road"
     else:
-        unused, remedy = {"--controller": settings.controller, "--runs": settings.runs}, "name roads with --road"
+        unused, remedy = (
+            {"--controller": settings.controller, "--runs": settings.runs, "--length": settings.length},
+            "name roads with --road",
+        )
     options_without_use = [option for option, value in unused.items() if value is not None]
     if options_without_use:
         raise InvalidInput(f"tune: {options_without_use[0]} has no use here: {remedy}.")
@@ -128,7 +134,13 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
     name = settings.controller or "informed"
     with show.progress(f"tune {name}") as advance:
         tuned = tune_on_roads(
-            setting, settings.road or (), name, loops=settings.runs, command=options.command_line(), progress=advance
+            setting,
+            settings.road or (),
+            name,
+            length=settings.length or 2000.0,
+            loops=settings.runs,
+            command=options.command_line(),
+            progress=advance,
         )
     file = settings.out / TUNING
     tuned.file.to_toml(file)

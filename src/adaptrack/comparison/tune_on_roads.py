@@ -22,8 +22,8 @@ from adaptrack.tuning.spaces import search_space
 SEARCH_SEEDS = (1000, 1001)
 """Noise seeds of the search; those of every judgement count from 0."""
 JUDGEMENT_SEEDS = (0, 1, 2)
-LENGTH, DURATION = 2000.0, 60.0
-"""m of generated roads, s of random drives."""
+DURATION = 60.0
+"""s of random drives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class TunedOnRoads:
 
 
 def tune_on_roads(
-    setting: Setting, roads: Sequence[str], controller: str, *, loops: int | None = None, command: str = "",
-    progress: Callable[[str, int, int], None] | None = None,
+    setting: Setting, roads: Sequence[str], controller: str, *, length: float = 2000.0, loops: int | None = None,
+    command: str = "", progress: Callable[[str, int, int], None] | None = None,
 ) -> TunedOnRoads:  # fmt: skip
     """Find the tuning of a controller with the lowest mean cost on given roads.
 
@@ -49,6 +49,8 @@ def tune_on_roads(
     ----------
     roads
         See `load_drive`.
+    length
+        m, of generated roads.
     controller
         Registered name.
     loops
@@ -66,7 +68,7 @@ def tune_on_roads(
     show = progress or (lambda what, done, of: None)
     begun = time.perf_counter()
     driver = _tunable_controller(setting, controller)
-    drives = [load_drive(name, setting.car, LENGTH, DURATION) for name in dict.fromkeys(roads)]
+    drives = [load_drive(name, setting.car, length, DURATION) for name in dict.fromkeys(roads)]
     runs = RunSet(
         setting.plant, MPC(setting.car, profile=setting.profile, preview=True), drives, setting.profile
     )  # fmt: skip
