@@ -77,12 +77,14 @@ def tune_on_roads(
     search = seek_constant(
         runs, driver, swarm, noise_seeds=SEARCH_SEEDS, progress=partial(show, f"tune {controller}")
     )  # fmt: skip
+    show("speeds that the tuning can hold", 0, 1)
     file = ConstantTuning(
         controller=controller, belief=driver.belief_at_first, vehicle=setting.car.name, profile=setting.profile.name,
         period=setting.profile.period, roads=tuple(str(drive.name) for drive in drives), noise_seeds=SEARCH_SEEDS,
         command=command, tuning=search.tuning,
     ).holding(setting.car, setting.profile)  # fmt: skip
     pair = [Contender("default", driver), Contender("tuned", driver.with_tuning(search.tuning))]
+    show("judgement", 0, 1)
     judgement = compare(runs, pair, JUDGEMENT_SEEDS, "default", outline=setting.car.outline)
     return TunedOnRoads(
         file, search, judgement, swarm.evaluations * loops_per_tuning, time.perf_counter() - begun

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.comparison.table import finite
 from adaptrack.comparison.tune_on_roads import TunedOnRoads
@@ -46,7 +44,7 @@ def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) 
         answer=tuned.headline,
         record={**record, **files},
         tables=[ResultTable("tunings", f"{record['drives']} unseen drives", CAR_COLUMNS, rows, SURE, brief=True)],
-        notes=[*notes, *(f"{name}: {path}" for name, path in files.items())],
+        notes=[*notes, *(f"{name.replace('_', ' ')}: {path}" for name, path in files.items())],
         failed=not tuned.passed,
         next_step=next_step,
     )
@@ -76,6 +74,6 @@ def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result
             console_table(tuned.file.profile, rows, judgement),
             ResultTable("entries", "Tuning", columns, entries, at_bounds, brief=True),
         ],
-        notes=[*notes, f"tuning: {file} ({np.ceil(tuned.seconds):.0f} s)"],
+        notes=[*notes, f"tuning file: {file}"],
         next_step=next_step,
     )

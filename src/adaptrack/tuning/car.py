@@ -114,10 +114,9 @@ class TunedCar:
     def headline(self) -> str:
         """The chosen tuning, the cost of the best of the search over the default's, and the failed drives."""
         entries = f"Np {self.tuning.Np}, Nc {self.tuning.Nc}, R/Q {self.tuning.R / self.tuning.Q:.4g}"
-        share = (
-            f"cost of the search {self.gain.mean:.3g} [{self.gain.low:.3g}, {self.gain.high:.3g}] times the default's"
-        )
-        return f"{entries}; {share}; {self.failed} of {len(self.costs['default'])} unseen drives failed."
+        gain = f"{self.gain.mean:.3g} [{self.gain.low:.3g}, {self.gain.high:.3g}]"
+        drives = f"{self.failed} of {len(self.costs['default'])} unseen drives failed"
+        return f"{entries}; the searched tuning costs {gain} times the default; {drives}."
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
