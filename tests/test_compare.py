@@ -28,7 +28,7 @@ from adaptrack.comparison.config import (
 from adaptrack.comparison.run import run_comparison
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
-from adaptrack.control.controllers import MPC, About, about_controller, list_controllers, registry
+from adaptrack.control.controllers import MPC, About, list_controllers, registry
 from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
@@ -145,14 +145,6 @@ def test_the_shipped_comparisons_can_be_loaded_and_name_what_is_there():
             load_profile(profile)
     with pytest.raises(UnknownName, match="standard"):
         load_comparison("standart")
-
-
-def test_contenders_in_python_may_drive_fewer_roads():
-    slow = About("in Python", compiled=False)
-    task = tiny(roads=["country:1", "country:2"], slow_roads=["country:2"], slow_seeds=[1])
-    assert task.of(slow).roads == ("country:2",)
-    assert task.of(slow).seeds == (1,)
-    assert task.of(about_controller("informed")) is task
 
 
 def test_a_road_can_be_driven_faster():

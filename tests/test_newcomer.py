@@ -102,7 +102,7 @@ def test_it_takes_part_in_a_comparison_on_cars_and_roads_with_a_page(run):
     Path("mine.toml").write_text(
         'contenders = ["pure-pursuit", "heading-law"]\ncars = ["paper/bicycle", "paper/single-track"]\n'
         'profiles = ["road"]\ntraining = ["country:101"]\nroads = ["country:1"]\nlength = 120.0\n'
-        "training_length = 110.0\nseeds = [0]\nbudget = 10\nslow_budget = 10\nentry_speeds = false\n"
+        "training_length = 110.0\nseeds = [0]\nbudget = 10\nentry_speeds = false\n"
     )
     made = run("compare", "--config", "mine.toml", "--plugin", "newcomers_module", "--out", "compared")
     labels = {row["label"]: row for row in made["profiles"]["road"]}

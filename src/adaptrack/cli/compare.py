@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from adaptrack.comparison.run import Compared
 
 
-class LaneChange(StrEnum):
+class LaneChangeName(StrEnum):
     """Lane changes of ISO 3888."""
 
     iso3888_1 = "iso3888-1"
@@ -70,7 +70,7 @@ class CompareOptions:
         ),
     ] = None  # fmt: skip
     lane_change: Annotated[
-        LaneChange | None, Option("--lane-change", help="Highest clean entry speeds in this lane change, no roads.")
+        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change, no roads.")
     ] = None
     out: Annotated[
         Path | None, Option("--out", metavar="FOLDER", help="Of the page and all runs; the same command continues.")

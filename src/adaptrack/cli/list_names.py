@@ -3,111 +3,89 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import command, say_next
 
-Rows = list[dict[str, Any]]
+Descriptions = dict[str, str]
+"""By name."""
 
 
-class Kind(StrEnum):
-    """Kinds of names."""
-
-    cars = "cars"
-    tyres = "tyres"
-    roads = "roads"
-    scenarios = "scenarios"
-    profiles = "profiles"
-    controllers = "controllers"
-    schedules = "schedules"
-    comparisons = "comparisons"
-
-
-def _cars() -> Rows:
+def _cars() -> Descriptions:
     from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 
-    cars = [load_vehicle(name) for name in list_vehicles()]
-    return [{"name": car.name, "description": car.description, "tyre": car.tyre} for car in cars]
+    return {name: load_vehicle(name).description for name in list_vehicles()}
 
 
-def _tyres() -> Rows:
+def _tyres() -> Descriptions:
     from adaptrack.cars.vehicle import list_tyres, load_tyre
 
-    return [{"name": name, "description": load_tyre(name).description} for name in list_tyres()]
+    return {name: load_tyre(name).description for name in list_tyres()}
 
 
-def _roads() -> Rows:
+def _roads() -> Descriptions:
     from adaptrack.road import KINDS
 
-    return [{"name": kind, "description": "generated; country:3 is the one with seed 3"} for kind in KINDS]
+    return dict.fromkeys(KINDS, "generated; country:3 is the country road with seed 3")
 
 
-def _scenarios() -> Rows:
+def _scenarios() -> Descriptions:
     from adaptrack.scenario import list_scenarios, scenario_options
 
-    return [
-        {"name": name, "description": text, "options": ", ".join(scenario_options(name))}
-        for name, text in list_scenarios().items()
-    ]
+    texts = list_scenarios().items()
+    return {name: f"{text} Options: {', '.join(scenario_options(name)) or 'none'}." for name, text in texts}
 
 
-def _profiles() -> Rows:
+def _profiles() -> Descriptions:
     from adaptrack.scenario.profile import list_profiles, load_profile
 
-    profiles = [load_profile(name) for name in list_profiles()]
-    return [{"name": profile.name, "description": f"period {profile.period:g} s"} for profile in profiles]
+    return {name: load_profile(name).description for name in list_profiles()}
 
 
-def _controllers() -> Rows:
+def _controllers() -> Descriptions:
     from adaptrack.control.controllers import about_controller, list_controllers
 
     about = {name: about_controller(name) for name in list_controllers()}
-    return [
-        {"name": name, "description": entry.words, "tunable": entry.tunable, "compiled": entry.compiled}
-        for name, entry in about.items()
-    ]
+    return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in about.items()}
 
 
-def _schedules() -> Rows:
+def _schedules() -> Descriptions:
     from adaptrack.control.scheduling import list_schedulers, load_scheduler
 
     schedules = {name: load_scheduler(name) for name in list_schedulers()}
-    return [
-        {
-            "name": name, "car": schedule.made_for.get("car", ""), "profile": schedule.made_for.get("profile", ""),
-            "inputs": ", ".join(schedule.inputs),
-        }
+    return {
+        name: f"for the car {schedule.made_for.get('car')}, inputs {', '.join(schedule.inputs)}"
         for name, schedule in schedules.items()
-    ]  # fmt: skip
+    }
 
 
-def _comparisons() -> Rows:
+def _comparisons() -> Descriptions:
     from adaptrack.comparison.config import list_comparisons
 
-    return [{"name": name, "description": text} for name, text in list_comparisons().items()]
+    return list_comparisons()
 
 
-NAMES: dict[Kind, tuple[Callable[[], Rows], str, tuple[str, ...]]] = {
-    Kind.cars: (_cars, "see the numbers of a car", ("car",)),
-    Kind.tyres: (_tyres, "drive on one", ("drive", "country", "--tyre")),
-    Kind.roads: (_roads, "drive along one", ("drive",)),
-    Kind.scenarios: (_scenarios, "drive one", ("drive",)),
-    Kind.profiles: (_profiles, "drive in one", ("drive", "country", "--profile")),
-    Kind.controllers: (_controllers, "drive with one", ("drive", "country", "--controller")),
-    Kind.schedules: (_schedules, "certify one", ("certify",)),
-    Kind.comparisons: (_comparisons, "run one", ("compare", "--out", "compared", "--config")),
+COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
+    "cars": (_cars, "car"),
+    "tyres": (_tyres, "drive country --tyre"),
+    "roads": (_roads, "drive"),
+    "scenarios": (_scenarios, "drive"),
+    "profiles": (_profiles, "drive country --profile"),
+    "controllers": (_controllers, "drive country --controller"),
+    "schedules": (_schedules, "certify"),
+    "comparisons": (_comparisons, "compare --out compared --config"),
 }
-"""By kind: its rows, and the command that takes a name."""
+"""By kind: the descriptions, and the command that takes a name."""
 
 
 @options.grouped
 def list_names(
     kind: Annotated[
-        Kind | None, typer.Argument(metavar="KIND", help=f"{', '.join(Kind)}; by default the names of all kinds.")
+        str | None, typer.Argument(metavar="KIND", help=f"{', '.join(COMMANDS)}; by default all names.")
     ] = None,
     plugin: options.Plugin = None,
     as_json: options.Json = False,
@@ -115,11 +93,13 @@ def list_names(
     """List the names of cars, roads, controllers."""
     options.load_plugins(plugin)
     if kind is None:
-        rows = [{"kind": str(kind), "names": ", ".join(row["name"] for row in NAMES[kind][0]())} for kind in Kind]
+        rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]
         show.listing("Names", rows, as_json)
-    else:
-        make_rows, purpose, words = NAMES[kind]
-        rows = make_rows()
-        show.listing(f"{len(rows)} {kind}", rows, as_json)
-        if rows and not as_json:
-            say_next(purpose, command(*words, rows[0]["name"]))
+        return
+    if kind not in COMMANDS:
+        raise UnknownName(f"list: there is no kind {kind!r}. {did_you_mean(kind, COMMANDS)}")
+    describe, words = COMMANDS[kind]
+    rows = [{"name": name, "description": text} for name, text in describe().items()]
+    show.listing(f"{len(rows)} {kind}", rows, as_json)
+    if not as_json:
+        say_next("use one", command(*words.split(), rows[0]["name"]))

@@ -91,10 +91,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """
     begun = time.perf_counter()
     entry = about_contender(cell.contender)
-    task = task.of(entry)
     setting, training, judged = _run_sets(task, cell.car, cell.profile)
-    if setting.plant.costly and task.costly_seeds:
-        task = task.replace(seeds=task.costly_seeds)
     result: dict[str, Any] = {
         "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
     }  # fmt: skip

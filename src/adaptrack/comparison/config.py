@@ -71,24 +71,15 @@ class ComparisonConfig(Record):
     training_seeds: Numbers = Field(default=(1000,), description="noise seeds of the search")
     budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
     entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
-    slow_cars: Names | None = Field(default=None, description="cars of contenders in Python; by default all")
-    slow_roads: Names | None = Field(default=None, description="roads of their judgement, likewise")
-    slow_seeds: Numbers | None = Field(default=None, description="noise seeds of their judgement, likewise")
-    costly_seeds: Numbers | None = Field(
-        default=None, description="noise seeds of the judgement on plants that take long (CommonRoad's), by default all"
-    )
-    slow_budget: int = Field(default=0, ge=0, description="closed loops of their search; 0: defaults alone")
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Self:
-        each = len(self.training) * len(self.training_seeds)
-        for key in ("budget", "slow_budget"):
-            budget = getattr(self, key)
-            if budget and budget < LEAST_TUNINGS * each:
-                raise ValueError(
-                    f"{key} = {budget}: a tuning takes {each} closed loops (training roads times their noise seeds): "
-                    f"give at least {LEAST_TUNINGS * each}, or 0."
-                )
+        loops = len(self.training) * len(self.training_seeds)
+        if self.budget and self.budget < LEAST_TUNINGS * loops:
+            raise ValueError(
+                f"budget = {self.budget}: a tuning takes {loops} closed loops (training roads times noise seeds): "
+                f"give at least {LEAST_TUNINGS * loops}, or 0."
+            )
         shared = set(self.seeds) & set(self.training_seeds)
         if shared:
             raise ValueError(f"training_seeds: {min(shared)} is a noise seed of the judgement as well.")
@@ -107,22 +98,12 @@ class ComparisonConfig(Record):
             for profile in dict.fromkeys(self.profiles)
             for car in dict.fromkeys(self.cars)
             for contender in dict.fromkeys(self.contenders)
-            if about_contender(contender).compiled or car in (self.slow_cars or self.cars)
         ]
-
-    def of(self, entry: About) -> ComparisonConfig:
-        """What an entry drives: one in Python may have fewer roads, seeds and closed loops."""
-        if entry.compiled:
-            return self
-        roads, seeds = self.slow_roads or self.roads, self.slow_seeds or self.seeds
-        return self.replace(roads=roads, seeds=seeds, budget=self.slow_budget)
 
     def loops(self, cell: Cell) -> int:
         """Closed loops of a cell, roughly: those of the search and of the judgement, without entry speeds."""
-        entry = about_contender(cell.contender)
-        task = self.of(entry)
-        searched = task.budget if entry.tunable else 0
-        return searched + (2 if searched else 1) * len(task.roads) * len(task.seeds)
+        search = self.budget if about_contender(cell.contender).tunable else 0
+        return search + (2 if search else 1) * len(self.roads) * len(self.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
         """s, how long cells take on one core, roughly: `PERIODS_OF_A_LOOP` steps a loop."""

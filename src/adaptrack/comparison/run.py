@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
-from adaptrack.base.errors import MissingExtra, StorageError
+from adaptrack.base.errors import StorageError
 from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
 from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.cells import columns, run_cell
@@ -42,8 +42,6 @@ class Compared:
     task: ComparisonConfig
     cells: dict[Cell, dict[str, Any]]
     """results of `run_cell`"""
-    absent: dict[str, str]
-    """cars that were left out, with the reason"""
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -112,37 +110,21 @@ def run_comparison(
     Raises
     ------
     AdaptrackError
-        When a profile, a road or the folder cannot be used. A car that needs a missing extra is left out, unless it is
-        the only one.
+        When a car, a profile, a road or the folder cannot be used.
     """
-    absent = _absent_cars(task)
-    cells = [cell for cell in task.cells if cell.car not in absent]
-    files = None if out is None else {cell: _CellFile.of(task, Path(out), cell) for cell in cells}
     results = {}
-    for done, cell in enumerate(cells):
+    for done, cell in enumerate(task.cells):
         if progress is not None:
-            progress(cell.label, done, len(cells))
-        stored = None if files is None else files[cell].load()
+            progress(cell.label, done, len(task.cells))
+        file = None if out is None else _CellFile.of(task, Path(out), cell)
+        stored = None if file is None else file.load()
         results[cell] = run_cell(task, cell) if stored is None else stored
-        if files is not None and stored is None:
-            files[cell].save(results[cell])
-    compared = Compared(task, results, absent)
+        if file is not None and stored is None:
+            file.save(results[cell])
+    compared = Compared(task, results)
     if out is not None:
         compared.save(Path(out) / TABLE)
     return compared
-
-
-def _absent_cars(task: ComparisonConfig) -> dict[str, str]:
-    """Cars that need a missing extra, with the reason; raises if no car is left."""
-    absent: dict[str, str] = {}
-    for car in dict.fromkeys(task.cars):
-        try:
-            load_setting(car, task.profiles[0])
-        except MissingExtra as error:
-            absent[car] = str(error)
-            if len(absent) == len(set(task.cars)):
-                raise
-    return absent
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from adaptrack.tuning.spaces import search_space
 SEARCH_SEEDS = (1000, 1001)
 """Noise seeds of the search; those of every judgement count from 0."""
 JUDGEMENT_SEEDS = (0, 1, 2)
-DURATION = 60.0
+DRIVE_DURATION = 60.0
 """s of random drives."""
 
 
@@ -68,7 +68,7 @@ def tune_on_roads(
     show = progress or (lambda what, done, of: None)
     begun = time.perf_counter()
     driver = _tunable_controller(setting, controller)
-    drives = [load_drive(name, setting.car, length, DURATION) for name in dict.fromkeys(roads)]
+    drives = [load_drive(name, setting.car, length, DRIVE_DURATION) for name in dict.fromkeys(roads)]
     runs = RunSet(
         setting.plant, MPC(setting.car, profile=setting.profile, preview=True), drives, setting.profile
     )  # fmt: skip

@@ -39,7 +39,7 @@ COLOURS = "Blue: ours; orange: the paper's; grey: others."
 _PAPERS = ("as-written", "as-released", "nn", "anfis", "published")
 _ROW = 0.19
 """inch, of a row of a picture with a row for each contender"""
-MAX_FAILED_RUNS = 20
+MAX_FAILED_RUNS = 10
 """Failed runs in the table on console and page."""
 
 CONTENDERS = (
@@ -77,10 +77,9 @@ FAILED_RUNS = (
     Column("reason", "Reason"),
     Column("failed_at", "At", "s", 3),
 )
-LEFT_OUT = (
+LEFT_OUT_COLUMNS = (
     Column("contender", "Left out"),
-    Column("profile", "Profile"),
-    Column("cars", "Cars"),
+    Column("where", "Profile: cars"),
     Column("why", "Reason"),
 )
 _NOTE = (
@@ -152,7 +151,6 @@ def _record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, 
         "profiles": dict(rows),
         "failed_runs": compared.failed_runs,
         "left_out": [{**vars(cell), "why": why} for cell, why in compared.left_out.items()],
-        "absent": compared.absent,
         "cells": [
             {**vars(cell), **{key: value for key, value in result.items() if key != "rows"}}
             for cell, result in compared.cells.items()
@@ -233,16 +231,15 @@ def _failed_runs_table(compared: Compared) -> list[ResultTable]:
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:
-    """Contenders that do not fit a profile, with their cars, and cars that are not installed, if there are any."""
+    """Contenders that do not fit a car or a profile, if there are any."""
     cars: dict[tuple[str, str, str], list[str]] = {}
     for cell, why in compared.left_out.items():
         cars.setdefault((cell.contender, cell.profile, why), []).append(cell.car)
     rows = [
-        {"contender": contender, "profile": profile, "cars": ", ".join(names), "why": why}
+        {"contender": contender, "where": f"{profile}: {', '.join(names)}", "why": why}
         for (contender, profile, why), names in cars.items()
     ]
-    rows += [{"contender": "all", "profile": "all", "cars": car, "why": why} for car, why in compared.absent.items()]
-    return [ResultTable("left out", "Left out", LEFT_OUT, rows, brief=True)] if rows else []
+    return [ResultTable("left out", "Left out", LEFT_OUT_COLUMNS, rows, brief=True)] if rows else []
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
