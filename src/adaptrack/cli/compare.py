@@ -83,8 +83,7 @@ class CompareOptions:
         """The fields that replace those of the configuration."""
         values = {
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
-            "budget": self.budget,
-            "seeds": None if self.seeds is None else list(range(self.seeds)),
+            "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
 
@@ -159,7 +158,7 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
         "--config": settings.config,
         "--length": settings.length,
         "--seeds": settings.seeds,
-        "--budget N": settings.budget,
+        "--budget": settings.budget,
     }
     options_without_use = [option for option, value in unused.items() if value]
     if options_without_use:
@@ -173,5 +172,5 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
             tuned=settings.budget != 0, progress=advance,
         ):  # fmt: skip
             runs.append(run)
-    pictures = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
-    return lane_change_result(name, runs, command=options.command_line(), next_step=next_line("drive a road", pictures))
+    drive = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
+    return lane_change_result(name, runs, command=options.command_line(), next_step=next_line("drive a road", drive))

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.plant import Plant, twin_of
+from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import Plant, SteppedPlant, twin_of
 from adaptrack.comparison.compare import check_fits
 from adaptrack.comparison.config import (
     Cell,
@@ -41,22 +42,25 @@ from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import is_tunable
 
-MOST_PARTICLES = 20
-"""Of a search; with fewer tunings, so many that the swarm has some generations."""
+MAX_PARTICLES = 20
+"""Of a search; fewer for a small budget, so that the swarm has some generations."""
 
 
 @lru_cache(maxsize=4)
-def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, RunSet, RunSet]:
-    """What all controllers on a car in a profile share: the runs of the search and those of the judgement."""
+def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, RunSet | None, RunSet]:
+    """Setting, runs of the search (None without a budget) and runs of the judgement, shared by all controllers."""
     setting = load_setting(car, profile)
     mpc = MPC(setting.car, profile=setting.profile, preview=True)
-    made = []
-    searched = twin_of(setting.car) if setting.plant.costly else setting.plant
-    parts = (searched, task.training, task.training_length), (setting.plant, task.roads, task.length)
-    for plant, names, length in parts:
+
+    def load_runs(plant: Plant | SteppedPlant, names: Sequence[str], length: float) -> RunSet:
         drives = [load_drive(name, setting.car, length, task.duration) for name in names]
-        made.append(RunSet(plant, mpc, drives, setting.profile))
-    return setting, made[0], made[1]
+        return RunSet(plant, mpc, drives, setting.profile)
+
+    training = None
+    if task.budget:
+        plant = twin_of(setting.car) if setting.plant.costly else setting.plant
+        training = load_runs(plant, task.training, task.training_length)
+    return setting, training, load_runs(setting.plant, task.roads, task.length)
 
 
 @lru_cache(maxsize=4)
@@ -101,26 +105,30 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     except (InvalidInput, MissingExtra) as error:
         return result | {"left_out": str(error), "seconds": 0.0}
     drivers = {tuning: controller}
-    if entry.tunable and is_tunable(controller) and task.budget:
+    if training is not None and entry.tunable and is_tunable(controller):
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
         best = seek_constant(training, controller, swarm, noise_seeds=task.training_seeds)
         result["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
         result["tunings"] = {"default": best.default, "tuned": best.tuning}
         drivers["tuned"] = controller.with_tuning(best.tuning)
+    name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
     for tuning, driver in drivers.items():
-        name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
         about = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
-        rows = measure_runs(judged, driver, task.seeds, setting.car.outline)
-        result["rows"] += [
-            {**about, "road": road, "seed": seed, **{name: row[name] for name in MEASURES}}
-            for road, runs in zip(task.roads, rows, strict=True)
-            for seed, row in zip(task.seeds, runs, strict=True)
-        ]
+        result["rows"] += [about | row for row in _judge(task, judged, driver, setting.car.outline)]
         try:
             result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, entry, driver)
         except InvalidInput as error:
             result["not_entered"] = str(error)
     return result | {"seconds": time.perf_counter() - begun}
+
+
+def _judge(task: ComparisonConfig, judged: RunSet, driver: Controller, outline: Outline) -> list[dict[str, Any]]:
+    """One row for each run of the judgement: road, noise seed and `MEASURES`."""
+    return [
+        {"road": road, "seed": seed, **{name: row[name] for name in MEASURES}}
+        for road, runs in zip(task.roads, measure_runs(judged, driver, task.seeds, outline), strict=True)
+        for seed, row in zip(task.seeds, runs, strict=True)
+    ]
 
 
 def _make_controller(task: ComparisonConfig, cell: Cell, setting: Setting) -> tuple[Controller, str]:
@@ -147,10 +155,10 @@ MEASURES = ("cost", "failed", "reason", "failed_at", *RUN)
 """Measures of a run in the results."""
 
 
-def _swarm(budget: int, each: int) -> SwarmSettings:
-    """A swarm that spends at most so many closed loops; a tuning takes `each` of them."""
-    tunings = budget // each
-    particles = min(MOST_PARTICLES, max(5, round(math.sqrt(tunings))))
+def _swarm(budget: int, loops: int) -> SwarmSettings:
+    """A swarm that spends at most `budget` closed loops; a tuning takes `loops` of them."""
+    tunings = budget // loops
+    particles = min(MAX_PARTICLES, max(5, round(math.sqrt(tunings))))
     return SwarmSettings(particles=particles, generations=max(1, tunings // particles))
 
 
@@ -159,8 +167,8 @@ def _entry_speed(task: ComparisonConfig, cell: Cell, entry: About, driver: Contr
     track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
     if track is None:
         return None
-    found = entry_speed(track, cell.contender, driver, SPEEDS)
-    return float(found.found.speed) if math.isfinite(found.found.speed) else 0.0
+    speed = entry_speed(track, cell.contender, driver, SPEEDS).found.speed
+    return float(speed) if math.isfinite(speed) else 0.0
 
 
 SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
