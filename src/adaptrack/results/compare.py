@@ -58,7 +58,11 @@ CONTENDERS = (
     Column("failures", "Failed", "runs"),
     Column("runs", "Of", "runs"),
 )
-LOWER_IS_BETTER = ("rms_ratio", "cost_ratio", "rms_error", "p95_error", "max_corner", "failures")
+BEST = {
+    **dict.fromkeys(("rms_ratio", "cost_ratio", "rms_error", "p95_error", "max_corner", "failures"), min),
+    "entry_speed": max,
+}
+"""The function that picks the best value of a column."""
 CONSOLE = (
     Column("label", "contender"),
     Column("rank", "rank"),
@@ -175,12 +179,10 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
 def _best_cells(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
     """(row, column) of the best values, in columns that tell the contenders apart."""
     cells = set()
-    for name in (*LOWER_IS_BETTER, "entry_speed"):
-        values = [math.inf if row[name] is None else row[name] for row in rows]
-        if name == "entry_speed":
-            values = [-value if math.isfinite(value) else value for value in values]
-        if min(values) < max(values):
-            cells |= {(i, name) for i, value in enumerate(values) if value == min(values)}
+    for name, best in BEST.items():
+        values = [row[name] for row in rows if row[name] is not None]
+        if values and min(values) < max(values):
+            cells |= {(i, name) for i, row in enumerate(rows) if row[name] == best(values)}
     return frozenset(cells)
 
 

@@ -83,11 +83,13 @@ def _table(rows: Sequence[dict[str, Any]]) -> ResultTable:
         about = {key: row[key] for key in ("vehicle", "profile", "controller")}
         line = lines.setdefault(tuple(about.values()), about | {f"tuned_{key}": None for key in shown})
         line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in shown}
-    table = list(lines.values())
-    speeds = [max(line["clean"] or 0.0, line["tuned_clean"] or 0.0) for line in table]
-    best = {
-        (i, key) for i, line in enumerate(table) for key in ("clean", "tuned_clean") if line[key] == max(speeds)
-    }  # fmt: skip
+    table, best = list(lines.values()), set()
+    for i, line in enumerate(table):
+        rivals = [
+            other for other in table if (other["vehicle"], other["profile"]) == (line["vehicle"], line["profile"])
+        ]
+        fastest = max(other[key] or 0.0 for other in rivals for key in ("clean", "tuned_clean"))
+        best |= {(i, key) for key in ("clean", "tuned_clean") if line[key] == fastest}
     columns = COLUMNS if any(row["tuned"] for row in rows) else COLUMNS[:5]
     return ResultTable("speeds", "Entry speeds", columns, table, _NOTE, best=frozenset(best), brief=True)
 
