@@ -157,7 +157,7 @@ class TestLaneChange:
         result = scan_speeds(judge, np.arange(50.0, 100.0, 2.0))
         assert (result.speed, result.failing) == (pytest.approx(60.0, abs=2.0), result.speed + 2.0)
         assert result.highest == 64.0
-        assert max(result.tried) < 98.0  # faster speeds are not driven after eight failures in a row
+        assert max(result.clearances) < 98.0  # faster speeds are not driven after eight failures in a row
         assert math.isnan(scan_speeds(judge, [70.0, 80.0]).highest)
         assert math.isnan(scan_speeds(judge, [10.0, 20.0]).failing)
 

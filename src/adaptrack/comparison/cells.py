@@ -167,7 +167,7 @@ def _entry_speed(task: ComparisonConfig, cell: Cell, entry: About, driver: Contr
     track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
     if track is None:
         return None
-    speed = entry_speed(track, cell.contender, driver, SPEEDS).found.speed
+    speed = entry_speed(track, cell.contender, driver, SPEEDS).scan.speed
     return float(speed) if math.isfinite(speed) else 0.0
 
 

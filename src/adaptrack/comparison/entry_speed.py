@@ -106,17 +106,17 @@ class LaneChangeTest:
         batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
         rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
         seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
-        found = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
-        driven = [refined_poses(states, controller.period) for states in found.trace.state]
+        outcome = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
+        driven = [refined_poses(states, controller.period) for states in outcome.trace.state]
         return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
 
     def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:
         """The margins to the cones, of the worst seed for each tuning; arguments as for `drive`."""
-        found = []
+        worst = []
         for runs in self.drive(controller, speed, tunings, seeds):
-            each = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
-            found.append(min(each, key=lambda one: one.least))
-        return found
+            margins = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
+            worst.append(min(margins, key=lambda margin: margin.least))
+        return worst
 
 
 def refined_poses(states: Array, period: float) -> Array:
@@ -145,13 +145,13 @@ def tunings_to_try(name: str, controller: Controller) -> Array:
     """
     if name not in SEARCHED:
         raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCHED)}.")
-    names, own = list(controller.tuning_names), controller.packed_tuning()
-    tried = [own]
+    names, default = list(controller.tuning_names), controller.packed_tuning()
+    tunings = [default]
     for values in itertools.product(*SEARCHED[name].values()):
-        tuning = own.copy()
+        tuning = default.copy()
         tuning[[names.index(entry) for entry in SEARCHED[name]]] = values
-        tried.append(tuning)
-    return np.array(tried)
+        tunings.append(tuning)
+    return np.array(tunings)
 
 
 def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
@@ -173,7 +173,7 @@ def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, spee
     """
     tunings = tunings_to_try(name, controller)
     margins = test.margins(controller, speed, tunings, TUNING_SEEDS)
-    best = int(np.argmax([each.least for each in margins]))
+    best = int(np.argmax([margin.least for margin in margins]))
     return tunings[best], margins[best]
 
 
@@ -187,29 +187,29 @@ class EntrySpeed:
     tuned: bool
     """for this track, by `tune_for_track`; else its defaults"""
     tuning: dict[str, float]
-    found: CleanSpeed
+    scan: CleanSpeed
     poses: Array
-    """(seeds, places, 3) x (m), y (m), yaw (rad) at `found.speed`, or at the lowest speed where none is clean"""
+    """(seeds, places, 3) x (m), y (m), yaw (rad) at `scan.speed`, or at the lowest speed where none is clean"""
 
     @property
     def row(self) -> dict[str, Any]:
         """What tables and JSON say of it; speeds in km/h, margins in m, None for none."""
-        margins = self.found.tried.get(self.found.speed)
-        lowest = self.found.tried[min(self.found.tried)]
+        margins = self.scan.clearances.get(self.scan.speed)
+        lowest = self.scan.clearances[min(self.scan.clearances)]
         return {
             "vehicle": self.test.car.name,
             "profile": self.test.profile.name,
             "controller": self.name,
             "tuned": self.tuned,
-            "clean": _kmh(self.found.speed),
-            "failing": _kmh(self.found.failing),
-            "highest_clean": _kmh(self.found.highest),
+            "clean": _kmh(self.scan.speed),
+            "failing": _kmh(self.scan.failing),
+            "highest_clean": _kmh(self.scan.highest),
             "margin": None if margins is None else margins.least,
             "lowest_margin": lowest.least if math.isfinite(lowest.least) else None,
             "tuning": self.tuning,
             "margins": [
-                {"speed": _kmh(speed), "least": each.least if math.isfinite(each.least) else None}
-                for speed, each in sorted(self.found.tried.items())
+                {"speed": _kmh(speed), "least": margin.least if math.isfinite(margin.least) else None}
+                for speed, margin in sorted(self.scan.clearances.items())
             ],
         }
 
@@ -236,11 +236,11 @@ def entry_speed(
         When the speeds do not increase from above 0, or the parts do not fit each other.
     """
     row = controller.packed_tuning() if tuning is None else tuning
-    found = scan_speeds(lambda speed: test.margins(controller, speed, row[None], SEEDS)[0], speeds)
-    shown = found.speed if math.isfinite(found.speed) else min(found.tried)
+    scan = scan_speeds(lambda speed: test.margins(controller, speed, row[None], SEEDS)[0], speeds)
+    shown = scan.speed if math.isfinite(scan.speed) else min(scan.clearances)
     names: Sequence[str] = controller.tuning_names
     return EntrySpeed(
-        test, name, tuning is not None, dict(zip(names, row.tolist(), strict=True)), found,
+        test, name, tuning is not None, dict(zip(names, row.tolist(), strict=True)), scan,
         test.drive(controller, shown, row[None], SEEDS)[0],
     )  # fmt: skip
 

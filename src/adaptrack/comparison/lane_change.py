@@ -429,13 +429,11 @@ class CleanSpeed:
     """m/s, the lowest speed of the grid that was not clean; NaN when all are"""
     highest: float
     """m/s, the highest clean speed of the grid, above `failing` by luck; NaN when none is clean"""
-    tried: dict[float, Clearance]
+    clearances: dict[float, Clearance]
     """by entry speed (m/s)"""
 
 
-def scan_speeds(
-    judge: Callable[[float], Clearance], speeds: Sequence[float]
-) -> CleanSpeed:
+def scan_speeds(judge: Callable[[float], Clearance], speeds: Sequence[float]) -> CleanSpeed:
     """Drive a grid of entry speeds (m/s), increasing, from its lowest up: a faster drive may be clean where one is not.
 
     It ends when `BEYOND_FAILING` speeds one after the other were not clean.
@@ -445,17 +443,17 @@ def scan_speeds(
     InvalidInput
         When the speeds do not increase from above 0.
     """
-    grid = [float(each) for each in speeds]
+    grid = [float(speed) for speed in speeds]
     if not grid or grid[0] <= 0.0 or any(b <= a for a, b in pairwise(grid)):
         raise InvalidInput(f"entry speeds = {speeds!r}: must increase from above 0 m/s.")
-    tried: dict[float, Clearance] = {}
+    clearances: dict[float, Clearance] = {}
     row = 0
     for speed in grid:
-        tried[speed] = judge(speed)
-        row = 0 if tried[speed].clean else row + 1
+        clearances[speed] = judge(speed)
+        row = 0 if clearances[speed].clean else row + 1
         if row >= BEYOND_FAILING:
             break
-    clean = [speed for speed, each in tried.items() if each.clean]
-    failing = min((speed for speed, each in tried.items() if not each.clean), default=math.nan)
+    clean = [speed for speed, margin in clearances.items() if margin.clean]
+    failing = min((speed for speed, margin in clearances.items() if not margin.clean), default=math.nan)
     below = [speed for speed in clean if not speed > failing]
-    return CleanSpeed(max(below, default=math.nan), failing, max(clean, default=math.nan), tried)
+    return CleanSpeed(max(below, default=math.nan), failing, max(clean, default=math.nan), clearances)

@@ -109,11 +109,11 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
     return Result(
         kind="compare",
         title=f"{counted(len(task.contenders), 'controller')} on {cars} and {counted(len(task.roads), 'road')}",
-        answer="\n".join(headline(profile, each) for profile, each in rows.items()),
+        answer="\n".join(headline(profile, ranking) for profile, ranking in rows.items()),
         record=_record(compared, rows),
         tables=[
-            *(contender_table(profile, each) for profile, each in rows.items()),
-            *(console_table(profile, each, comparisons[profile]) for profile, each in rows.items()),
+            *(contender_table(profile, ranking) for profile, ranking in rows.items()),
+            *(console_table(profile, ranking, comparisons[profile]) for profile, ranking in rows.items()),
             _failures_by_car(compared),
             *_failed_runs_table(compared),
             *_left_out_table(compared),
@@ -263,15 +263,15 @@ def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
         "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders. "
         + COLOURS
     )
-    panels = [_work_panel(profile, each) for profile, each in rows.items()]
+    panels = [_work_panel(profile, ranking) for profile, ranking in rows.items()]
     return Picture("work", caption, panels, (), "work.png", 2, 3.0)
 
 
-def _work_panel(profile: str, every: Sequence[Row]) -> Panel:
-    rows = [row for row in every if row["tuning"] != "default"] or every
+def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
+    rows = [row for row in ranking if row["tuning"] != "default"] or ranking
     rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
     marks: list[Mark] = []
-    for row, rate, error, height in zip(rows, rates, errors, _apart(errors), strict=True):
+    for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
         colour, at_left = colour_of(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
         place = (rate / 1.06 if at_left else 1.06 * rate, height)
         marks += [
@@ -285,7 +285,7 @@ def _work_panel(profile: str, every: Sequence[Row]) -> Panel:
     )  # fmt: skip
 
 
-def _apart(values: Sequence[float]) -> list[float]:
+def _label_heights(values: Sequence[float]) -> list[float]:
     """Heights of labels on a logarithmic axis: those of the values, moved up where one would cover another."""
     logs = np.log(values)
     gap = 0.055 * (np.ptp(logs) + math.log(2.0))  # the axis is twice as long as its values reach
@@ -293,22 +293,26 @@ def _apart(values: Sequence[float]) -> list[float]:
     heights = logs.copy()
     for below, above in itertools.pairwise(order):
         heights[above] = max(heights[above], heights[below] + gap)
-    return [float(each) for each in np.exp(heights)]
+    return np.exp(heights).tolist()
 
 
 def _entry_speeds(compared: Compared) -> list[Picture]:
     speeds = {profile: compared.entry_speeds(profile) for profile in compared.by_profile}
-    panels = [_entry_panel(compared.by_profile[profile], profile, each) for profile, each in speeds.items() if each]
+    panels = [
+        _entry_panel(table, profile, speeds[profile])
+        for profile, table in compared.by_profile.items()
+        if speeds[profile]
+    ]
     caption = (
         "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, of the worst of three noise seeds; a dot "
         f"for each car, at 0 where no speed was clean, and a bar at their mean. {COLOURS}"
     )
-    height = 0.75 + _ROW * max((len(each) for each in speeds.values()), default=0)
+    height = 0.75 + _ROW * max(map(len, speeds.values()), default=0)
     return [Picture("entry", caption, panels, (), "entry.png", 1, height, (5.2, height))] if panels else []
 
 
 def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[str, float]]) -> Panel:
-    rows = sorted(speeds.items(), key=lambda each: -float(np.mean(list(each[1].values()))))
+    rows = sorted(speeds.items(), key=lambda row: -float(np.mean(list(row[1].values()))))
     marks: list[Mark] = []
     for place, (contender, cars) in enumerate(rows):
         values, colour = 3.6 * np.array(list(cars.values())), colour_of(table.role(contender).controller)

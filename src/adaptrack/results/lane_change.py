@@ -99,7 +99,7 @@ def _fastest_runs(runs: Sequence[EntrySpeed]) -> list[EntrySpeed]:
     fastest: dict[str, EntrySpeed] = {}
     for run in runs:
         other = fastest.get(run.name)
-        if other is None or not np.isfinite(other.found.speed) or run.found.speed > other.found.speed:
+        if other is None or not np.isfinite(other.scan.speed) or run.scan.speed > other.scan.speed:
             fastest[run.name] = run
     return list(fastest.values())
 
@@ -138,9 +138,9 @@ def _marks(run: EntrySpeed, start: float, end: float) -> list[Mark]:
             for corner, colour, width in _CORNERS
         ]
     first = run.poses[0]
-    known = first[np.isfinite(first).all(axis=1)]
+    finite = first[np.isfinite(first).all(axis=1)]
     for x in np.arange(start, end, BETWEEN):
-        place = known[int(np.argmin(np.abs(known[:, 0] - x)))]
+        place = finite[int(np.argmin(np.abs(finite[:, 0] - x)))]
         front_left, front_right, rear_left, rear_right = outline.corners_at(*place)
         corners = np.array([front_left, front_right, rear_right, rear_left])
         marks.append(Polygon(corners[:, 0], corners[:, 1], "ink", width=0.4, opacity=0.5))
@@ -151,5 +151,5 @@ def _title(run: EntrySpeed) -> str:
     label = f"{run.test.car.name}, {run.name}{', tuned' if run.tuned else ''}"
     row = run.row
     if row["clean"] is None:
-        return f"{label}: not clean at {3.6 * min(run.found.tried):.0f} km/h"
+        return f"{label}: not clean at {3.6 * min(run.scan.clearances):.0f} km/h"
     return f"{label}: clean up to {row['clean']:.0f} km/h"
