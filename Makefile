@@ -38,7 +38,7 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@touch $@
 
 run: install ## run the paper's experiment again: results/index.html
-	$(BIN)/adaptrack reproduce --out results
+	$(BIN)/adaptrack paper reproduce --out results
 
 # The bytecode of tests and package is kept, whatever the environment says: to make it takes 12 s of each process.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q -n 2 --dist worksteal

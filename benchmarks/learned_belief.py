@@ -41,7 +41,7 @@ from adaptrack.core.estimators.learning import BELIEF
 from adaptrack.core.plants.contract import STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.identification.random_cars import CarRanges, random_car
-from adaptrack.learning import ANFIS
+from adaptrack.paper import ANFIS
 from adaptrack.scenario import random_drive
 from adaptrack.scenario.profile import Profile, load_profile
 

@@ -36,7 +36,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import Learning, Uncertainty
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.identification.random_cars import CarRanges, RandomCar, random_car
-from adaptrack.learning import ANFIS, MLP
+from adaptrack.paper import ANFIS, MLP
 from adaptrack.scenario import random_drive
 from adaptrack.scenario.profile import Profile
 

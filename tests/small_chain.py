@@ -1,4 +1,4 @@
-"""An adaptation small enough to run in a test: the whole chain in seconds, from its own campaign to its schedulers."""
+"""An adaptation small enough for a test: campaign and schedules in seconds."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,9 +15,9 @@ import pytest
 
 from adaptrack.base.files import write_toml
 from adaptrack.control.scheduling import Schedule
-from adaptrack.learning.adaptation.config import load_adaptation
-from adaptrack.learning.adaptation.splits import SetUp
-from adaptrack.studies import adapt as study
+from adaptrack.paper import adaptation
+from adaptrack.paper.campaign_config import load_campaign
+from adaptrack.paper.learning_task import Effort, LearningTask
 
 CAMPAIGN: dict[str, Any] = {
     "profile": "road",
@@ -34,63 +34,52 @@ CAMPAIGN: dict[str, Any] = {
     "swarm": {"particles": 4, "generations": 2},
     "library": {"tunings": [[25, 5, 1, 1000], [30, 5, 1, 4000], [30, 8, 1, 10000], [35, 5, 1, 20000]]},
 }
-ADAPTATION: dict[str, Any] = {
-    "campaign": "pond.toml",
-    "learning": {
-        "inputs": ["speed", "friction"],
-        "rounds": 2,
-        "operating_points": 16,
-        "drives": 8,
-        "hard_drives": 8,
-        "rules": 4,
-        "domain": {"speed": [3.0, 30.0], "friction": [0.3, 1.0]},
-    },
-    "method": {  # few runs held out, short searches for constants, short training of the paper's recipe
-        "runs": {"held_out_points": 8, "held_out_drives": 2},
-        "constants": {"evaluations": 20},
-        "recipe": {"nn_epochs": 20, "anfis_epochs": 2},
-    },
-    "evaluation": {"operating_points": 8, "drives": 8, "known_as": ["exact"]},
-}
+EFFORT = Effort(2, 16, 8, 8, 8, 2, (8, 4, 4), 20)
+NODES = ((10, 26, 42, 60), (1, 5, 20), np.linspace(1.0, 6.0, 6))
+"""Np, Nc, log10 R/Q of the guard's map."""
 
 
-def write(folder: Path, pond: dict[str, Any] | None = None, **changes: Any) -> Path:
-    """The file of an adaptation called tiny, its campaign beside it as pond; changes of a table are merged."""
+def write(folder: Path, **changes: Any) -> Path:
+    """The file of a campaign called pond."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_toml(folder / "pond.toml", CAMPAIGN | (pond or {}))
-    values = dict(ADAPTATION)
-    for key, value in changes.items():
-        values[key] = values[key] | value if isinstance(value, dict) and key in values else value
-    write_toml(folder / "tiny.toml", {key: value for key, value in values.items() if value is not None})
-    return folder / "tiny.toml"
+    write_toml(folder / "pond.toml", CAMPAIGN | changes)
+    return folder / "pond.toml"
+
+
+def task_of(folder: Path, **changes: Any) -> LearningTask:
+    """The learning task of a small campaign with some of its keys changed."""
+    return LearningTask.of(load_campaign(write(folder, **changes)), EFFORT)
 
 
 @contextmanager
 def short_cuts() -> Iterator[pytest.MonkeyPatch]:
-    """No ceiling to the paper's recipe."""
+    """A coarse map for the guard, few runs for constants and clusters."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("adaptrack.learning.training.ceiling", lambda x, y, held, *more: np.full(len(held), y.mean()))
+        patch.setattr(adaptation, "loop_map", partial(adaptation.loop_map, nodes=NODES))
+        patch.setattr(adaptation, "CLUSTERED_INPUTS", 400)
         yield patch
 
 
 class Chain(NamedTuple):
-    """A chain that has run."""
+    """A finished adaptation."""
 
-    setup: SetUp
+    task: LearningTask
+    file: Path
+    """of its campaign"""
     folder: Path
     schedules: dict[str, Schedule]
 
 
 @lru_cache(maxsize=1)
 def learned(base: Path) -> Chain:
-    """The chain of `write`, run once for all processes of a test run; nobody may change its folder.
+    """The adaptation of `CAMPAIGN`, run once for all processes of a test run; its folder must not be changed.
 
-    base: pytest's folder of this process. Whoever comes second waits, and goes on with what the first has kept.
+    base: pytest's folder of this process. A second process waits for the first one, and reads its files.
     """
     place = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "chain"
     place.mkdir(exist_ok=True)
     with open(place / "lock", "w") as lock, short_cuts():
         fcntl.flock(lock, fcntl.LOCK_EX)
-        config = place / "tiny.toml"
-        setup = SetUp.of(load_adaptation(config if config.exists() else write(place)))
-        return Chain(setup, place / "out", study.learn(setup, place / "out"))
+        file = write(place)
+        schedules = adaptation.adapt(load_campaign(file), place / "out", workers=1, effort=EFFORT)
+        return Chain(task_of(place), file, place / "out", schedules)

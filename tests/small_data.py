@@ -1,11 +1,12 @@
-"""A data set small enough to learn from in a test, with every number of the tuning following the condition."""
+"""A data set and a campaign small enough for a test; every number of the tuning follows the operating point."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.operating_points import grid
+from adaptrack.paper.campaign_config import CampaignConfig
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.operating_points import grid
 
 LEVELS = {
     "speed": (4.0, 9.0, 15.0, 22.0),
@@ -41,3 +42,27 @@ def small(**changes) -> DataSet:
         "provenance": {"name": "small", "identity": "0123", "settings": {"scenario": "step", "search": SEARCH}},
     }
     return DataSet(**(arrays | changes))
+
+
+def small_campaign(**changes) -> CampaignConfig:
+    """12 operating points, 8 of which are computed, in 4 parts; a second of work."""
+    return CampaignConfig(
+        **{
+            "name": "small",
+            "profile": "paper",
+            "scenario": "step",
+            "duration": 3.0,
+            "chunk": 2,
+            "seed": 3,
+            "operating_points": {
+                "kind": "grid",
+                "speed": (10.0, 20.0),
+                "y_ref": (-4.0, 2.0, 4.0),
+                "friction": (0.8,),
+                "wind": (-5.0, 5.0),
+            },
+            "swarm": {"particles": 5, "generations": 4},
+            "library": {"size": 8, "seed": 1},
+            **changes,
+        }
+    )

@@ -20,11 +20,12 @@ from adaptrack.cars import plant as plant_module
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
-from adaptrack.tuning.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.campaign_config import CampaignConfig, Plan
+from adaptrack.paper.data_set import load_dataset
+from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.tuning.car import TuningEffort, tune
-from adaptrack.tuning.config import CampaignConfig, Plan
 from adaptrack.tuning.constant_file import load_tuning
-from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs
@@ -167,7 +168,7 @@ def test_a_stepped_plant_is_tuned_and_told_how_long_it_takes(kind, caplog):
 @pytest.mark.compiled
 def test_a_campaign_on_a_stepped_plant_costs_what_its_objective_says(registered, tmp_path):
     config = campaign(plant="cheap", plugin=["sliding"])
-    data = at.load_dataset(run_campaign(config, tmp_path / "out", workers=2))
+    data = load_dataset(run_campaign(config, tmp_path / "out", workers=1))
     setup = Plan.of(config).setup
     target = Objective(
         setup.plant(), tuned_mpc(setup), "lane-change", "road", noise_seeds=(1,), duration=2.0,

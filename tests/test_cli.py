@@ -17,7 +17,7 @@ from adaptrack.cli import options
 from adaptrack.cli.app import app
 from adaptrack.control.scheduling import list_schedulers
 from adaptrack.drive.failure import Reason
-from small_data import small
+from small_data import small, small_campaign
 
 ROW_KEYS = {
     "scenario", "controller", "plant", "tyre", "profile", "preview", "seed", "mse", "max_abs_error",
@@ -93,12 +93,11 @@ def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(mo
         (["simulate", "step", "--period", "1e-9"], ["2,000,000 are possible"]),
         (["simulate", "step", "--np", "1000000000"], ["Np = 1000000000", "at most 1,000"]),
         (["simulate", "step", "-o", "speed=1e15"], ["at most 100 m/s"]),
-        (["evaluate-schedules", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
-        (["evaluate-schedules", "--drives", "-5"], ["--drives = -5", "at least 1"]),
-        (["evaluate-schedules", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
-        (["evaluate-schedules", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
-        (["evaluate-schedules", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
-        (["adaptation", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
+        (["paper", "evaluate", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
+        (["paper", "evaluate", "--drives", "-5"], ["--drives = -5", "at least 1"]),
+        (["paper", "evaluate", "--operating-points", "1000000000"], ["at most 100,000"]),
+        (["paper", "evaluate", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
+        (["paper", "adapt", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, arguments, words):
@@ -126,7 +125,7 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
         ("road plot town --out {file}.png", "adaptrack.road.load_road"),
         ("drive town --length 200 --learned {file}.toml", "adaptrack.road.load_road"),
         ("simulate step --learned {file}.toml", "adaptrack.drive.simulate.simulate"),
-        ("train --data paper-grid --model nn --out {file}.json", "adaptrack.learning.training.train"),
+        ("paper train --data paper-grid --model nn --out {file}.json", "adaptrack.paper.training.train"),
     ],
 )
 def test_a_place_where_no_result_can_be_written_is_found_before_any_work(monkeypatch, capsys, tmp_path, command, work):
@@ -256,7 +255,9 @@ def data(tmp_path_factory):
 
 def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, tmp_path, data):
     out = tmp_path / "new" / "fuzzy.json"
-    code, printed, err = run(monkeypatch, capsys, "train", "--data", data, "--model", "anfis", "--out", out, "--json")
+    code, printed, err = run(
+        monkeypatch, capsys, "paper", "train", "--data", data, "--model", "anfis", "--out", out, "--json"
+    )
     assert code == 0, err
     told = json.loads(printed)
     assert (told["scheduler"], told["model"], told["targets"]) == (str(out), "anfis", "paper")
@@ -275,13 +276,24 @@ def test_train_learns_with_the_seed_that_is_given(monkeypatch, capsys, tmp_path,
     def learn(dataset, model, targets, *, seed=0, progress=None):
         raise InvalidInput(f"seed {seed}")
 
-    monkeypatch.setattr("adaptrack.learning.training.train", learn)
-    asked = ["train", "--data", data, "--model", "nn", "--out", tmp_path / "nn.json", "--seed", "7"]
+    monkeypatch.setattr("adaptrack.paper.training.train", learn)
+    asked = ["paper", "train", "--data", data, "--model", "nn", "--out", tmp_path / "nn.json", "--seed", "7"]
     assert run(monkeypatch, capsys, *asked) == (2, "", "adaptrack: seed 7\n")
 
 
 def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path, data):
-    arguments = ["train", "--data", data, "--model", "anfis", "--targets", "ratio", "--out", tmp_path / "fuzzy.json"]
+    arguments = [
+        "paper",
+        "train",
+        "--data",
+        data,
+        "--model",
+        "anfis",
+        "--targets",
+        "ratio",
+        "--out",
+        tmp_path / "fuzzy.json",
+    ]
     code, out, _ = run(monkeypatch, capsys, *arguments)
     assert code == 0
     assert all(word in out for word in ("held out", "log10_ratio", "of trees", "fuzzy.json"))
@@ -289,7 +301,9 @@ def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path,
 
 def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_path, data):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    code, out, err = run(monkeypatch, capsys, "reproduce", "--quick", "--data", data, "--out", tmp_path, "--json")
+    code, out, err = run(
+        monkeypatch, capsys, "paper", "reproduce", "--quick", "--data", data, "--out", tmp_path, "--json"
+    )
     told = json.loads(out)
     assert code == 0, err
     assert len(told["rows"]) == 48
@@ -304,16 +318,31 @@ def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_
     assert "index.html" in err
 
 
+def test_a_campaign_is_run_described_and_written_on_a_page(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+    file, out = tmp_path / "small.toml", tmp_path / "out"
+    small_campaign().to_toml(file)
+    arguments = ("paper", "campaign", file, "--out", out, "--workers", "1", "--json")
+    code, printed, err = run(monkeypatch, capsys, *arguments)
+    assert code == 0, err
+    assert [json.loads(printed)[key] for key in ("name", "operating_points", "computed")] == ["small", 12, 8]
+    assert (out / "index.html").exists()
+    code, again, _ = run(monkeypatch, capsys, "paper", "campaign", out, "--json")
+    assert (code, json.loads(again)) == (0, json.loads(printed))
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["train", "--data", "paper-gird", "--model", "nn", "--out", "nn.json"], ["paper-grid"]),
-        (["train", "--data", "paper-grid", "--model", "forest", "--out", "nn.json"], ["forest"]),
-        (["train", "--data", "paper-grid", "--model", "nn", "--out", "nn.txt"], ["*.json"]),
-        (["train", "--data", "paper-grid", "--model", "nn", "--out", "{file}/nn.json"], ["cannot be written"]),
-        (["reproduce", "--out", "{file}/out"], ["cannot be written"]),
-        (["reproduce", "--data", "paper-gird", "--out", "{folder}"], ["paper-grid"]),
-        (["reproduce", "--data", "road-sobol", "--out", "{folder}"], ["do not fill a grid"]),
+        (["paper", "campaign", "paper-gird"], ["paper-grid"]),
+        (["paper", "campaign", "paper-gird", "--out", "{folder}"], ["paper-grid"]),
+        (["paper", "train", "--data", "paper-gird", "--model", "nn", "--out", "nn.json"], ["paper-grid"]),
+        (["paper", "train", "--data", "paper-grid", "--model", "forest", "--out", "nn.json"], ["forest"]),
+        (["paper", "train", "--data", "paper-grid", "--model", "nn", "--out", "nn.txt"], [".json"]),
+        (["paper", "train", "--data", "paper-grid", "--model", "nn", "--out", "{file}/nn.json"], ["cannot be written"]),
+        (["paper", "reproduce", "--out", "{file}/out"], ["cannot be written"]),
+        (["paper", "reproduce", "--data", "paper-gird", "--out", "{folder}"], ["paper-grid"]),
+        (["paper", "reproduce", "--data", "road-sobol", "--out", "{folder}"], ["do not fill a grid"]),
         (["simulate", "step", "--scheduler", "no-such.json"], ["no-such.json"]),
     ],
 )

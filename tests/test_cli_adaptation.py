@@ -1,4 +1,4 @@
-"""The commands around schedulers: adapt, evaluate, certify, schedulers, train."""
+"""The commands around schedulers: paper adapt, paper evaluate, certify, paper train."""
 
 from __future__ import annotations
 
@@ -14,20 +14,13 @@ import pytest
 from adaptrack import cli
 from adaptrack.analysis.certify import certify
 from adaptrack.analysis.feasibility import feasibility
-from adaptrack.base.errors import AdaptrackError, InvalidInput
-from adaptrack.cli import comparison as shown
-from adaptrack.comparison import evaluate
-from adaptrack.control.controllers import Tuning, published_mpc, registry
+from adaptrack.base.errors import AdaptrackError
+from adaptrack.control.controllers import Tuning
 from adaptrack.control.controllers.informed import informed_tuning
 from adaptrack.control.scheduling import Constant
-from adaptrack.learning.adaptation import config as configuration
-from adaptrack.learning.adaptation import recipes, splits
-from adaptrack.studies.adapt import shipped
-from small_chain import learned, write
+from adaptrack.paper import adaptation, evaluation, learning_task
+from small_chain import EFFORT, learned, write
 
-EVALUATED = {"view", "known_as", "reference", "contender", "controller", "runs", "cost_geomean", "regret_geomean",
-             "regret_low", "regret_high", "regret_p50", "regret_p90", "regret_p99", "regret_worst", "failures",
-            }  # fmt: skip
 CERTIFIED = {"scheduler", "plant", "tyre", "profile", "passed", "points", "unstable", "unstable_without_guard",
              "unstable_in_turn", "verdict", "straight", "turn", "rows"}  # fmt: skip
 
@@ -47,15 +40,14 @@ def strict(text):
 
 @pytest.fixture
 def places(tmp_path):
-    """Files that commands are given: an adaptation, a scheduler, a damaged one, a file where a folder should be."""
-    tiny = write(tmp_path)
-    grid = write(tmp_path / "grid", campaign="paper-grid")
+    """Files that commands are given: a campaign, a scheduler, a damaged one, a file where a folder should be."""
+    pond = write(tmp_path)
     Constant(Tuning(38, 4, 1.0, 8000.0), name="mine").save(tmp_path / "mine.json")
     (tmp_path / "damaged.json").write_text((tmp_path / "mine.json").read_text().replace("8000", "80"))
     (tmp_path / "file").write_text("")
     replace(Constant(Tuning()), made_for={"car": "van"}).save(tmp_path / "vans.json")
     return {
-        "tiny": tiny, "grid": grid, "mine": tmp_path / "mine.json", "damaged": tmp_path / "damaged.json",
+        "pond": pond, "mine": tmp_path / "mine.json", "damaged": tmp_path / "damaged.json",
         "file": tmp_path / "file", "out": tmp_path / "out", "vans": tmp_path / "vans.json",
     }  # fmt: skip
 
@@ -65,30 +57,24 @@ def places(tmp_path):
     ("command", "words"),
     [
         ("tune van", ["--out"]),
-        ("adaptation raod --out {out}", ["no adaptation is named 'raod'", "Did you mean 'road'"]),
-        ("adaptation nowhere.toml --out {out}", ["nowhere.toml", "cannot be read"]),
-        ("adaptation {grid} --out {out}", ["paper-grid", "Sobol"]),
-        ("adaptation {tiny} --out {file}/out", ["cannot be written"]),
-        ("adaptation {tiny} --out {out} --workers 0", ["workers = 0"]),
-        ("evaluate-schedules --config raod", ["Did you mean 'road'"]),
-        ("evaluate-schedules --schedulers road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
-        ("evaluate-schedules --schedulers nowhere.json", ["nowhere.json", "cannot be read"]),
-        ("evaluate-schedules --schedulers {damaged}", ["damaged.json", "checksum"]),
-        ("evaluate-schedules --conditions sobol", ["'sobol'", "write sobol:N"]),
-        ("evaluate-schedules --conditions grid:8", ["'grid:8'", "write sobol:N"]),
-        ("evaluate-schedules --conditions sobol:0", ["'sobol:0'", "write sobol:N"]),
-        ("evaluate-schedules --conditions sobol:-4", ["'sobol:-4'", "write sobol:N"]),
-        ("evaluate-schedules --conditions sobol:8.5", ["'sobol:8.5'", "write sobol:N"]),
-        ("evaluate-schedules --conditions sobol:99999999999", ["99999999999"]),
-        ("evaluate-schedules --drives 0", ["--drives"]),
-        ("evaluate-schedules --drives many", ["--drives", "integer"]),
-        ("evaluate-schedules --seed -1", ["--seed"]),
-        (
-            "evaluate-schedules --config road --schedulers {vans}",
-            ["'vans'", "car 'van', not 'paper'", "adaptrack adaptation"],
-        ),
-        ("evaluate-schedules --out {file}/out", ["cannot be written"]),
-        ("evaluate-schedules --contender standrd", ["no contender is named 'standrd'", "Did you mean 'standard'"]),
+        ("paper adapt road-sobl --out {out}", ["no campaign is named 'road-sobl'", "Did you mean 'road-sobol'"]),
+        ("paper adapt nowhere.toml --out {out}", ["nowhere.toml", "cannot be read"]),
+        ("paper adapt paper-grid --out {out}", ["paper-grid", "Sobol"]),
+        ("paper adapt {pond} --out {file}/out", ["cannot be written"]),
+        ("paper adapt {pond} --out {out} --workers 0", ["workers = 0"]),
+        ("paper evaluate {out}", ["fallback.json", "cannot be read"]),
+        ("paper evaluate --campaign road-sobl", ["Did you mean 'road-sobol'"]),
+        ("paper evaluate --scheduler road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
+        ("paper evaluate --scheduler nowhere.json", ["nowhere.json", "cannot be read"]),
+        ("paper evaluate --scheduler {damaged}", ["damaged.json", "checksum"]),
+        ("paper evaluate --scheduler {vans}", ["'vans'", "car 'van', not 'paper'", "adaptrack paper adapt"]),
+        ("paper evaluate --scheduler {mine} --scheduler {mine}", ["has this name already", "rename"]),
+        ("paper evaluate --operating-points 0", ["--operating-points = 0"]),
+        ("paper evaluate --operating-points 99999999999", ["99999999999"]),
+        ("paper evaluate --drives many", ["--drives", "integer"]),
+        ("paper evaluate --seed -1", ["--seed"]),
+        ("paper evaluate --known-as nosy", ["'nosy'", "noisy", "withheld"]),
+        ("paper evaluate --out {file}/out", ["cannot be written"]),
         ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
         ("certify {mine} --feasible", ["--feasible", "leave out the scheduler"]),
         ("certify --feasible --out {out}", ["--feasible", "--out"]),
@@ -100,14 +86,14 @@ def places(tmp_path):
         ("certify {mine} --tyre magic", ["no tyre is named 'magic'", "'magic-formula'"]),
         ("certify {mine} --profile raod", ["raod"]),
         ("certify {mine} --out {file}/out", ["cannot be written"]),
-        ("train --model nn --out {out}/nn.json", ["--data"]),
-        ("train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
-        ("train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
+        ("paper train --model nn --out {out}/nn.json", ["--data"]),
+        ("paper train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
+        ("paper train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
         ("list --jason", ["--jason"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, places, command, words):
-    for module in (splits, evaluate):
+    for module in (learning_task, evaluation):
         monkeypatch.setattr(module, "operating_point_runs", lambda *given, **more: pytest.fail("it went to work"))
     before = places["file"].stat().st_size
     code, out, err = run(monkeypatch, capsys, *(part.format(**places) for part in command.split()))
@@ -118,134 +104,62 @@ def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, c
     assert places["file"].stat().st_size == before
 
 
-@pytest.mark.parametrize("what", [("--conditions", "sobol:8"), ("--drives", "1"), ("--tests",)])
-def test_an_unknown_way_of_knowing_is_told_before_anything_is_driven(monkeypatch, capsys, places, what):
-    for name in ("optimum", "compare", "per_run_best"):
-        monkeypatch.setattr(evaluate, name, lambda *given, **more: pytest.fail("it went to work"))
-    config = write(places["out"], name="road")
-    code, out, err = run(monkeypatch, capsys, "evaluate-schedules", "--config", config, *what, "--told", "nosy")
-    assert code == 2
-    assert out == ""
-    assert all(word in err for word in ("'nosy'", "noisy", "withheld"))
-
-
-def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
-    code, _, err = run(monkeypatch, capsys, "evaluate-schedules", "--conditions", "sobol:²")
-    assert code == 2
-    assert "write sobol:N" in err
-
-
-def test_a_folder_stands_for_the_schedulers_in_it(tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InvalidInput, match=r"no scheduler.*in this folder"):
-        shown.scheduler_files([str(tmp_path / "empty")])
-    for name in ("b", "a"):
-        Constant(Tuning()).save(tmp_path / f"{name}.json")
-    assert shown.scheduler_files([str(tmp_path)]) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
-    assert shown.scheduler_files(["road-nn"]) == ["road-nn"]
-
-
-def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypatch, capsys, places):
-    monkeypatch.setattr(evaluate, "random_drive_runs", lambda *given, **more: None)
-    code, _, err = run(monkeypatch, capsys, "evaluate-schedules", "--config", places["tiny"], "--drives", "1")
-    assert code == 2
-    assert "best constant" in err
-
-
-@pytest.mark.parametrize("command", ["adaptation", "evaluate-schedules", "certify", "train"])
+@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "certify", "paper train"])
 def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     options = {
-        "adaptation": ["--out", "ADAPTATION", "--workers"],
-        "evaluate-schedules": ["--schedulers", "--conditions", "--told", "sobol:N"],
+        "paper adapt": ["--out", "CAMPAIGN", "--workers"],
+        "paper evaluate": ["--scheduler", "--operating-points", "--known-as", "--tests"],
         "certify": ["--profile", "--vehicle", "--feasible", "--mismatch", "--out"],
-        "train": ["--data", "--model", "--targets"],
+        "paper train": ["--data", "--model", "--targets"],
     }[command]  # fmt: skip
-    shown = "--help-all" if command in ("adaptation", "evaluate-schedules", "certify") else "--help"
+    shown = "--help-all" if command in ("paper adapt", "paper evaluate", "certify") else "--help"
     code = (
         "import sys; from adaptrack import cli; "
-        f"sys.argv = ['adaptrack', '{command}', '{shown}']; assert cli.main() == 0; assert 'numpy' not in sys.modules"
+        f"sys.argv = 'adaptrack {command} {shown}'.split(); assert cli.main() == 0; assert 'numpy' not in sys.modules"
     )
     text = run_python(code=code)
     assert all(option in text for option in ["Usage: adaptrack", "--json", *options])
 
 
-@pytest.mark.parametrize("command", ["adaptation", "evaluate-schedules", "reproduce"])
+@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "paper reproduce"])
 def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(monkeypatch, capsys, command):
-    code, out, _ = run(monkeypatch, capsys, command, "--help")
+    code, out, _ = run(monkeypatch, capsys, *command.split(), "--help")
     assert code == 0
     assert all(words in " ".join(out.split()) for words in ("Failed runs", "they are counted", "the exit code is 0"))
 
 
 # -- what is right is done --------------------------------------------------------------------------------------------
 @pytest.mark.compiled
-def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeypatch, capsys, places):
-    config = write(places["out"], name="road")
-    arguments = [
-        "evaluate-schedules",
-        "--config",
-        config,
-        "--schedulers",
-        places["mine"],
-        "--conditions",
-        "sobol:8",
-        "--json",
-    ]
-    code, out, err = run(monkeypatch, capsys, *arguments, "--told", "noisy", "--profile", "road")
-    assert code == 0, err
-    rows = strict(out)["rows"]
-    assert all(row.keys() >= EVALUATED for row in rows)
-    assert {(row["view"], row["reference"], row["runs"]) for row in rows} == {("operating points", "optimum", 8)}
-    exact = {row["contender"]: row for row in rows if row["known_as"] == "exact"}
-    hidden = {"fallback", "best constant on drives"}
-    files = {f"road-{kind.replace(' ', '-')}": kind for kind in shipped("road")}
-    named = {kind if kind == "best constant" else name: kind for name, kind in files.items()}
-    kinds = set(shipped("road")) - hidden
-    assert {row["kind"] for row in exact.values()} == {"standard", "optimum", "", *kinds}
-    assert set(exact) == {"standard", "optimum", "mine", *(name for name, kind in named.items() if kind in kinds)}
-    assert exact["optimum"]["regret_worst"] == 1.0
-    assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
-    assert {row["kind"] for row in rows if row["known_as"] == "noisy"} == {*evaluate.PERCEIVING, "optimum"}
-    again = strict(run(monkeypatch, capsys, *arguments)[1])["rows"]
-    assert again == list(exact.values())
-    others = strict(run(monkeypatch, capsys, *arguments, "--seed", "8")[1])["rows"]
-    assert others[0]["contender"] == again[0]["contender"]
-    assert others[-1]["cost_geomean"] != again[-1]["cost_geomean"]
-
-
-@pytest.mark.compiled
-def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypatch, capsys, places):
-    config = write(places["out"], name="road")
-    code, out, err = run(
-        monkeypatch, capsys, "evaluate-schedules", "--config", config, "--schedulers", places["mine"], "--drives", "1"
-    )
-    assert code == 0, err
-    first = {line.split("  ")[0] for line in out.splitlines()}
-    assert {"standard", "best constant", "road-nn", "road-anfis", "mine"} <= first
-    assert "drives, exact: 1 runs, regret to best constant" in out
-    assert "operating points, exact" not in out
-
-
-@pytest.mark.compiled
-def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
-    monkeypatch, capsys, tmp_path, tmp_path_factory
+def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
+    monkeypatch, capsys, tmp_path, tmp_path_factory, places
 ):
     chain = learned(tmp_path_factory.getbasetemp())
-    out = shutil.copytree(chain.folder, tmp_path / "out")
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.results.comparison_pictures.NODES", (9, 7))
-    monkeypatch.setattr(evaluate, "per_run_best", lambda runs, rows, seeds: rows[:1].repeat(len(runs), axis=0))
-    monkeypatch.setattr(recipes, "improve", lambda *given, **more: pytest.fail("it learned again"))
-    config = chain.folder.parent / "tiny.toml"
-    code, printed, err = run(monkeypatch, capsys, "adaptation", config, "--out", out, "--json")
+    folder = shutil.copytree(chain.folder, tmp_path / "adapted")
+    monkeypatch.setattr(adaptation, "adapt", partial(adaptation.adapt, effort=EFFORT))
+    monkeypatch.setattr(adaptation, "improve", lambda *given, **more: pytest.fail("it learned again"))
+    code, out, err = run(monkeypatch, capsys, "paper", "adapt", chain.file, "--out", folder, "--json")
     assert code == 0, err
-    rows = strict(printed)["rows"]
+    told = strict(out)
+    assert told["schedulers"] == str(folder / "schedulers")
+    assert [row["contender"] for row in told["rows"]] == ["nn", "anfis"]
+
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.evaluation.NODES", (9, 7))
+    page = tmp_path / "page"
+    command = ("paper", "evaluate", folder, "--campaign", chain.file, "--operating-points", 4, "--drives", 1, "--tests",
+               "--known-as", "noisy", "--scheduler", places["mine"])  # fmt: skip
+    code, out, err = run(monkeypatch, capsys, *command, "--out", page, "--json")
+    assert code == 0, err
+    rows = strict(out)["rows"]
     assert {row["view"] for row in rows} == {"operating points", "drives", "tests"}
-    assert all(row.keys() >= EVALUATED - {"known_as"} for row in rows)
-    assert all(("known_as" in row) == (row["view"] != "tests") for row in rows)
-    assert {row["runs"] for row in rows if row["view"] != "tests"} == {8}
-    assert str(out / "schedulers") in err
-    assert (out / "index.html").exists()
-    assert "adaptrack adaptation" in (out / "index.html").read_text()
+    exact = {row["contender"]: row for row in rows if row.get("known_as") == "exact" and row["view"] != "drives"}
+    assert set(exact) == {"best constant", "look-up", "nn", "anfis", "mine", "optimum"}
+    assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
+    assert "adaptrack paper evaluate" in (page / "index.html").read_text()
+    code, out, err = run(monkeypatch, capsys, *command[:5], "--drives", 1)
+    assert code == 0, err
+    assert "times the cost of the best constant on 1 drive" in out
+    assert "Drives: 1 drive, regret to best constant" in out
 
 
 def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
@@ -336,29 +250,6 @@ def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):
     def fail(*given, **more):
         raise AdaptrackError("no way")
 
-    monkeypatch.setattr(configuration, "load_adaptation", fail)
-    code, out, err = run(monkeypatch, capsys, "evaluate-schedules")
+    monkeypatch.setattr("adaptrack.paper.campaign_config.load_campaign", fail)
+    code, out, err = run(monkeypatch, capsys, "paper", "evaluate")
     assert (code, out, err) == (2, "", "adaptrack: no way\n")
-
-
-@pytest.mark.compiled
-def test_evaluate_drives_a_registered_contender_by_name(monkeypatch, capsys, places):
-    monkeypatch.setattr(registry._registry, "factories", dict(registry._registry.factories))
-    cautious = Tuning(40, 4, 1.0, 1e5)
-    registry.register_controller("cautious", lambda vehicle, period: published_mpc(vehicle, cautious, period=period))
-    config = write(places["out"], name="road")
-    arguments = (
-        "evaluate-schedules",
-        "--config",
-        config,
-        "--conditions",
-        "sobol:8",
-        "--contender",
-        "cautious",
-        "--json",
-    )
-    code, out, err = run(monkeypatch, capsys, *arguments)
-    assert code == 0, err
-    rows = {row["contender"]: row for row in strict(out)["rows"]}
-    assert rows["cautious"]["controller"] == "standard MPC (pulse)"
-    assert rows["cautious"]["regret_geomean"] > 0.0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import signal
 import subprocess
@@ -72,20 +70,19 @@ def run(monkeypatch, capsys, *arguments):
     [
         ("simulate step", "adaptrack.scenario.load_scenario", "Nothing was written"),
         (
-            "train --data paper-grid --model nn --out {out}/nn.json",
-            "adaptrack.tuning.dataset.load_dataset",
+            "paper train --data paper-grid --model nn --out {out}/nn.json",
+            "adaptrack.paper.data_set.load_dataset",
             "Nothing was",
         ),
-        ("reproduce --out {out}", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
-        ("adaptation --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
-        ("evaluate-schedules", "adaptrack.learning.adaptation.config.load_adaptation", "Nothing was written"),
+        ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
+        ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to go on"),
+        ("paper evaluate", "adaptrack.paper.campaign_config.load_campaign", "Nothing was written"),
         ("certify road-nn", "adaptrack.control.scheduling.load_scheduler", "Nothing was written"),
         (
-            "campaign paper-grid --out {out}",
-            "adaptrack.tuning.campaign.run_campaign",
-            "{out}: go on with --resume",
+            "paper campaign paper-grid --out {out}",
+            "adaptrack.paper.campaign.run_campaign",
+            "{out}: run the command again to continue",
         ),
-        ("dataset describe paper-grid", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
     ],
 )
 def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp_path, command, stopped_in, words):
@@ -101,35 +98,6 @@ def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp
     assert err.splitlines()[-1].startswith("adaptrack: interrupted. ")
     assert words.format(out=tmp_path) in err
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
-
-
-def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, capsys, tmp_path):
-    from adaptrack.tuning import campaign
-
-    def stop(*given, **more):
-        raise campaign.CampaignInterrupted("interrupted. 3 of 6 chunks are kept in out; go on with --resume.")
-
-    monkeypatch.setattr(campaign, "run_campaign", stop)
-    code, _, err = run(monkeypatch, capsys, "campaign", "paper-grid", "--out", tmp_path)
-    assert code == 130
-    assert err.splitlines()[-1] == "adaptrack: interrupted. 3 of 6 chunks are kept in out; go on with --resume."
-
-
-def test_a_campaign_counts_the_operating_points_that_fail_with_every_tuning(monkeypatch, capsys, tmp_path):
-    from adaptrack.tuning import campaign, dataset
-    from small_data import small
-
-    data = small()
-    costs, landscape = data.costs.copy(), data.landscape.copy()
-    costs[:3], landscape[:2] = math.inf, math.inf  # at the third a tuning of the library does not fail
-    monkeypatch.setattr(campaign, "run_campaign", lambda *given, **more: tmp_path / "dataset.parquet")
-    monkeypatch.setattr(dataset, "load_dataset", lambda file: small(costs=costs, landscape=landscape))
-    arguments = ("campaign", "paper-grid", "--out", tmp_path)
-    code, out, _ = run(monkeypatch, capsys, *arguments)
-    assert code == 0
-    assert f"At 2 of the {len(data)} operating points the run failed with every tuning." in out
-    code, out, _ = run(monkeypatch, capsys, *arguments, "--json")
-    assert (code, json.loads(out)["failures"]) == (0, 2)
 
 
 def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, capsys, tmp_path):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender, get_contender, list_contenders
-from adaptrack.comparison.hindsight import SwarmSearch, optimum, per_run_best
 from adaptrack.comparison.table import Comparison, Role, finite
 from adaptrack.control.controllers import (
     LQR,
@@ -31,30 +28,16 @@ from adaptrack.control.scheduling import Constant, Guarded, Learned
 from adaptrack.core import guard
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import simulate
-from adaptrack.learning.adaptation.config import Evaluation
-from adaptrack.learning.adaptation.method import Constants, Method
-from adaptrack.learning.adaptation.recipes import best_constant
-from adaptrack.results import write_result
-from adaptrack.results.comparison import comparison_result
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.config import list_campaigns, load_campaign
 from adaptrack.tuning.objective import Objective
-from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.tuning.runs import RunSet, operating_point_runs
 
-JUDGED = Evaluation()
-EVALUATION_SEEDS, CHOICE_SEEDS = JUDGED.noise_seeds, JUDGED.choice_seeds
-SEARCH_SEEDS = tuple(itertools.chain(*JUDGED.search_seeds))
 FAILED_COST = 25.0
 CAR = load_vehicle("paper")
 START = Tuning(29, 5, 1.0, 4000.0)
 HASTY = Tuning(30, 10, 1.0, 10.0)
 """Steers on every bit of noise: fails."""
-SPACE = SearchSpace(
-    names=("Np", "Nc", "Q", "R"), low=(10.0, 1.0, 1.0, 10.0), high=(60.0, 18.0, 1.0, 1e6), whole=("Np", "Nc"),
-    decades=("R",), ordered=("Nc", "Np"), spread=2.0,
-)  # fmt: skip
 
 
 def controller(**options):
@@ -217,42 +200,6 @@ def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_di
     assert heard == [(name, k, 5) for k, name in enumerate(field)]
 
 
-# -- the optimum ------------------------------------------------------------------------------------------------------
-class Recorded:
-    """An objective that writes down what it was asked; the cost is |log R - the first entry of the point|."""
-
-    def __init__(self, seeds, book):
-        self.seeds, self.book = tuple(seeds), book
-
-    def tune(self, point, swarm, seed, stream, space):
-        self.book.append(("tune", self.seeds, float(point[0]), seed, stream, swarm, space))
-        return SimpleNamespace(tuning=np.array([30.0, 5.0, 1.0, 10.0 ** (point[0] + 0.1 * (1 + seed % 3))]))
-
-    def costs(self, point, tunings):
-        self.book.append(("costs", self.seeds, float(point[0]), len(tunings)))
-        return np.abs(np.log10(tunings[:, 3]) - point[0])
-
-
-def test_the_optimum_takes_three_swarms_on_seeds_of_their_own_and_chooses_on_further_ones():
-    book, points, swarm = [], np.array([[2.0], [3.0]]), SwarmSettings(generations=2)
-    found = optimum(lambda seeds: Recorded(seeds, book), points, SwarmSearch(SPACE, swarm, seed=30), threads=1)
-    np.testing.assert_allclose(np.log10(found[:, 3]), [2.1, 3.1])
-    for i, point in enumerate((2.0, 3.0)):
-        asked = [entry for entry in book if entry[2] == point]
-        searches, (choice,) = asked[:3], asked[3:]
-        assert [entry[1] for entry in searches] == [SEARCH_SEEDS[k : k + 3] for k in (0, 3, 6)]
-        assert len({entry[3] for entry in searches}) == 3, "three different swarms"
-        assert all(entry[4:] == (i, swarm, SPACE) for entry in searches)
-        assert choice == ("costs", CHOICE_SEEDS, point, 3)
-
-
-def test_a_known_tuning_that_is_better_than_what_the_swarms_found_is_taken():
-    points = np.array([[2.0], [3.0], [4.0]])
-    known = np.array([[40.0, 9.0, 1.0, 1e3], [40.0, 9.0, 1.0, 10.0**4.05]])
-    found = optimum(lambda seeds: Recorded(seeds, []), points, SwarmSearch(SPACE), known=known)
-    np.testing.assert_allclose(np.log10(found[:, 3]), [2.1, 3.0, 4.05])
-
-
 @pytest.mark.compiled
 def test_the_search_for_the_optimum_and_the_comparison_mean_the_same_cost(rng):
     points = rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
@@ -261,97 +208,6 @@ def test_the_search_for_the_optimum_and_the_comparison_mean_the_same_cost(rng):
     for tuning in (START.as_array(), np.array([40.0, 9.0, 1.0, 2e4])):
         costs = [searched.costs(point, tuning)[0] for point in points]
         np.testing.assert_allclose(driven.costs(tuning, [3, 4]), costs, rtol=1e-12)
-
-
-@pytest.mark.compiled
-def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rng):
-    points = rng.uniform((8.0, -4.0, 0.4, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
-    known = np.column_stack(
-        [rng.integers(20, 50, 6), rng.integers(2, 12, 6), np.ones(6), 10.0 ** rng.uniform(2.5, 5, 6)]
-    )
-
-    def short(seeds):
-        return Objective(SingleTrack(CAR), controller(), "lane-change", "road", tuple(seeds), duration=2.5)
-
-    heard = []
-    search = SwarmSearch(SPACE, SwarmSettings(particles=6, generations=2), seed=4)
-    found = optimum(short, points, search, known=known, threads=2, progress=lambda *at: heard.append(at))
-    judge = short(CHOICE_SEEDS)
-    better = 0
-    for point, tuning in zip(points, found, strict=True):
-        assert SPACE.contains(tuning)
-        cost = judge.costs(point, tuning)[0]
-        assert cost <= judge.costs(point, known).min()
-        better += cost < judge.costs(point, known).min()
-    assert better > 0, "the swarms found something"
-    np.testing.assert_array_equal(found, optimum(short, points, search, known=known, threads=1))
-    assert heard == [("optimum", 0, 3)]
-
-
-# -- constants --------------------------------------------------------------------------------------------------------
-def searching(evaluations):
-    return Method(constants=Constants(evaluations=evaluations))
-
-
-def test_the_best_constant_is_found():
-    tuning = best_constant([(Rated(bowl()), 6)], method=searching(1000))
-    assert tuning[2] == 1.0
-    assert bowl()(tuning, 0) < 1.05
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_best_constant_is_never_worse_than_its_start(seed):
-    best, far = [35.0, 8.0, 1.0, 10.0**3.5], [59.0, 17.0, 1.0, 11.0]
-    found = [best_constant([(Rated(bowl()), 6)], start, method=searching(20), seed=seed) for start in (best, far)]
-    np.testing.assert_array_equal(found[0], best)
-    assert bowl()(found[1], 0) < bowl()(far, 0)
-
-
-def test_each_run_set_counts_alike_however_many_runs_and_whatever_they_cost():
-    """So the best constant lies half way between two run sets that disagree."""
-    few = Rated(bowl(ratio=3.0), runs=2)
-    many = Rated(lambda row, run: 1e4 * bowl(ratio=4.0)(row, run), runs=40)
-    tuning = best_constant([(few, 2), (many, 40)], method=searching(1000))
-    assert math.log10(tuning[3]) == pytest.approx(3.5, abs=0.1)
-
-
-@pytest.mark.compiled
-def test_on_real_runs_too_the_best_constant_is_never_worse_than_its_start():
-    runs = run_set(3, 2.0)
-    start = [45.0, 3.0, 1.0, 4e4]
-    tuning = best_constant([(runs, 3)], start, method=searching(20), seed=1)
-    assert np.log(runs.costs(tuning, [700_001])).mean() <= np.log(runs.costs(start, [700_001])).mean()
-    np.testing.assert_array_equal(tuning, best_constant([(runs, 3)], start, method=searching(20), seed=1))
-
-
-def test_the_constant_of_hindsight_is_the_best_candidate_of_each_run():
-    rated = Rated(lambda row, run: abs(row[0] - (20.0, 30.0, 40.0)[run]), runs=3)
-    candidates = np.array([[Np, 5.0, 1.0, 1e3] for Np in (39.0, 22.0, 31.0)])
-    np.testing.assert_array_equal(per_run_best(rated, candidates, [1]), candidates[[1, 2, 0]])
-
-
-# -- seeds ------------------------------------------------------------------------------------------------------------
-def test_evaluation_search_and_choice_have_noise_seeds_of_their_own():
-    every = [*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS]
-    assert len(set(every)) == len(every)
-    assert len(EVALUATION_SEEDS) >= 8
-    assert len(CHOICE_SEEDS) >= 8
-    assert len(SEARCH_SEEDS) == 9
-    assert min(EVALUATION_SEEDS) >= 900_000 > max(*SEARCH_SEEDS, *CHOICE_SEEDS)
-
-
-@pytest.mark.parametrize("name", sorted(list_campaigns()))
-def test_no_campaign_tunes_on_a_seed_of_the_evaluation(name):
-    seeds = load_campaign(name).settled().noise_seeds
-    assert not set(seeds) & {*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS}
-
-
-@pytest.mark.parametrize("seed", [0, 1, 7, 1000])
-def test_the_best_constant_is_chosen_on_a_seed_of_its_own(seed):
-    rated = Rated(bowl())
-    best_constant([(rated, 2)], method=searching(20), seed=seed)
-    assert len(rated.seeds) == 1
-    assert not rated.seeds & {*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS}
 
 
 # -- one interval for tables and sentences ----------------------------------------------------------------------------
@@ -371,27 +227,6 @@ def test_a_verdict_is_level_while_the_interval_holds_one(rng):
 
 def test_the_geometric_mean_is_that_of_logarithms():
     assert geometric_mean([1.0, 10.0, 100.0]) == pytest.approx(10.0)
-
-
-def test_a_comparison_comes_back_from_json_to_the_bit(rng):
-    made = compare(Rated(bowl()), entered(a=START, b=HASTY), [5], "a", np.arange(6.0)[:, None])
-    again = Comparison.from_json(json.loads(json.dumps(made.as_json(), allow_nan=False)))
-    assert again.rows() == made.rows()
-    assert (again.reference, again.roles, again.failure) == (made.reference, made.roles, made.failure)
-    np.testing.assert_array_equal(again.where, made.where)
-
-
-def test_a_comparison_that_0_2_0_has_kept_is_read(rng):
-    costs = {"a": rng.uniform(1.0, 2.0, 5).tolist(), "b": rng.uniform(1.0, 2.0, 5).tolist()}
-    made = Comparison.from_json({
-        "costs": costs, "failures": {"a": [0.0] * 5, "b": [0.0, 0.0, 0.5, 0.0, 0.0]}, "reference": "a",
-        "counts": {"a": {"clipped": 0.25}}, "where": [[float(i)] for i in range(5)],
-        "roles": {"a": vars(Role("informed", False))},
-        "failure": {"distance": 5.0, "sideslip": 0.7},
-    })  # fmt: skip
-    first, second = made.rows()
-    assert (first["clipped"], first["failures"], second["failures"]) == (0.25, 0, 1)
-    assert second["regret_geomean"] == pytest.approx(geometric_mean(np.array(costs["b"]) / costs["a"]))
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------
@@ -483,7 +318,3 @@ def test_controllers_by_name_and_a_compiled_one_of_ones_own_cost_what_simulate_s
     rows = {row["contender"]: row["controller"] for row in made.rows()}
     assert rows["mine"] == "proportional"
     assert len(set(rows.values())) == 5
-    result = comparison_result(operating_points={}, drives={"exact": made}, tests={}, schedules={}, histories={})
-    page = write_result(tmp_path, result)
-    text = page.read_text(encoding="utf-8").lower()
-    assert all(name.lower() in text for name in ("lqr", "pure", "stanley", "mine"))

@@ -36,6 +36,7 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario
 from adaptrack.tuning.runs import operating_point_runs
+from small_chain import write
 
 CAR = load_vehicle("paper")
 PLANT = SingleTrack(CAR)
@@ -278,24 +279,18 @@ def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged,
 
 
 @pytest.mark.compiled
-def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(plugged, capsys):
-    arguments = [
-        "evaluate-schedules",
-        "--config",
-        "road",
-        "--operating-points",
-        "sobol:1",
-        "--known-as",
-        "estimated",
-        "--plant",
-        "bicycle",
-    ]
-    assert plugged(*arguments, "--plugin", "bicycles", "--out", "page", "--json") == 0
+def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(
+    plugged, capsys, monkeypatch
+):
+    monkeypatch.syspath_prepend(Path.cwd())
+    campaign = write(Path(), plant="bicycle", plugin=["bicycles"])
+    points = ("--operating-points", "1", "--known-as", "estimated")
+    assert plugged("paper", "evaluate", "--campaign", str(campaign), *points, "--out", "page", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert {row["reference"] for row in rows} == {"best constant"}
     assert {row["known_as"] for row in rows} == {"exact", "estimated"}
-    assert {"standard", "road-nn", "road-anfis"} <= {row["contender"] for row in rows if row["known_as"] == "exact"}
-    assert "--plant bicycle" in unescape(Path("page/index.html").read_text())
+    assert {"look-up", "nn", "anfis"} <= {row["contender"] for row in rows if row["known_as"] == "exact"}
+    assert "--campaign pond.toml" in unescape(Path("page/index.html").read_text())
 
 
 def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged, capsys):

@@ -1,4 +1,4 @@
-"""A data set survives its file bit for bit, keeps twins together, and says what is in it."""
+"""A data set survives its file bit for bit, keeps twins together, and is summarised and drawn."""
 
 import dataclasses
 import json
@@ -8,13 +8,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
-from adaptrack.tuning import dataset as room
-from adaptrack.tuning import store
-from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.dataset import TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
-from adaptrack.tuning.dataset import data as module
-from adaptrack.tuning.operating_points import fold, grid, mirrored, sobol
-from campaign_fakes import Fake, small
+from adaptrack.paper import data_set as module
+from adaptrack.paper.campaign_config import Plan, load_campaign
+from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
+from adaptrack.paper.data_set_summary import TARGETS, describe, flatness
+from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
+from adaptrack.results import dataset as pictures
+from adaptrack.results.dataset import dataset_result
+from adaptrack.results.page import write_result
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 ARRAYS = [field.name for field in dataclasses.fields(DataSet) if field.name != "provenance"]
@@ -58,12 +59,6 @@ def same(a, b):
     assert a.provenance == b.provenance
 
 
-@pytest.fixture(scope="module")
-def campaign(tmp_path_factory):
-    """The folder of a finished campaign."""
-    return run_campaign(small(), tmp_path_factory.mktemp("campaign"), evaluate=Fake).parent
-
-
 # -- the file ---------------------------------------------------------------------------------------------------------
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
     wild().save(tmp_path / "wild.parquet")
@@ -71,22 +66,8 @@ def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
     same(load_dataset(str(tmp_path / "wild.parquet")), wild())
 
 
-def test_the_same_data_give_the_same_file(tmp_path):
-    wild().save(tmp_path / "a.parquet")
-    wild().save(tmp_path / "b.parquet")
-    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
-
-
-def test_a_campaigns_folder_loads_and_saves_to_the_same_bytes(campaign, tmp_path):
-    data = load_dataset(campaign)
-    assert len(data) == 48
-    assert repr(data) == "<DataSet 'small': 48 operating points, library of 8 tunings>"
-    data.save(tmp_path / "copy.parquet")
-    assert (tmp_path / "copy.parquet").read_bytes() == (campaign / "dataset.parquet").read_bytes()
-
-
-def test_loading_a_data_set_loads_neither_compiler_nor_learner(campaign, run_python):
-    code = f"import sys, adaptrack.tuning.dataset as d; d.load_dataset({str(campaign)!r}); print(*sys.modules)"
+def test_loading_a_data_set_loads_neither_compiler_nor_learner(run_python):
+    code = "import sys, adaptrack.paper as paper; paper.load_dataset('paper-grid'); print(*sys.modules)"
     assert not {"numba", "sklearn", "matplotlib", "pandas"} & set(run_python(code=code).split())
 
 
@@ -94,23 +75,9 @@ def test_the_shipped_data_sets_load_and_name_their_command():
     for name in list_datasets():
         data = load_dataset(name)
         assert data.name == name
-        assert data.command == f"adaptrack tune --config {name} --out {name}"
+        assert data.command == f"adaptrack paper campaign {name} --out {name}"
+        assert data.provenance["identity"] == Plan.of(load_campaign(name)).identity
         assert data.landscape.shape == (len(data), len(data.library))
-
-
-def test_a_file_of_the_full_size_is_a_few_megabytes(tmp_path, rng):
-    # 6,435 conditions and 200 tunings, as noisy as costs can be expected to be.
-    n = 6435
-    smooth = np.exp(rng.normal(size=(n, 1)) + rng.normal(size=(1, 200)))
-    data = wild(n, 200, landscape=smooth * np.exp(0.1 * rng.normal(size=(n, 200))))
-    data.save(tmp_path / "full.parquet")
-    assert (tmp_path / "full.parquet").stat().st_size < 6e6
-
-
-@pytest.mark.parametrize("name", ["tunings", "costs", "landscape", "library"])
-def test_an_array_of_another_shape_is_refused_by_its_name(name):
-    with pytest.raises(InvalidInput, match=name):
-        wild(**{name: np.ones((60, 3))})
 
 
 def test_a_damaged_file_is_refused_with_its_name(tmp_path):
@@ -141,14 +108,14 @@ def test_a_file_that_another_program_has_edited_is_refused(tmp_path):
 
 
 def test_a_file_of_another_version_is_refused_with_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr(store, "FORMAT_VERSION", 2)
+    monkeypatch.setattr(module, "FORMAT_VERSION", 2)
     wild().save(tmp_path / "wild.parquet")
     monkeypatch.undo()
     with pytest.raises(StorageError, match="format version 2, this adaptrack reads version 1: run its campaign again"):
         load_dataset(tmp_path / "wild.parquet")
 
 
-def test_other_tables_are_refused(tmp_path, campaign):
+def test_other_tables_are_refused(tmp_path):
     import pyarrow as pa
 
     pq.write_table(pa.table({"x": [1.0]}), tmp_path / "x.parquet")
@@ -156,13 +123,7 @@ def test_other_tables_are_refused(tmp_path, campaign):
         load_dataset(tmp_path / "x.parquet")
     with pytest.raises(StorageError, match="cannot be read: No such file"):
         load_dataset(tmp_path / "missing.parquet")
-
-
-def test_a_folder_without_a_result_says_how_far_its_campaign_is(tmp_path, campaign):
-    with pytest.raises(StorageError, match=r"not of a campaign: there is no dataset\.parquet"):
-        load_dataset(tmp_path)
-    (tmp_path / "campaign.json").write_bytes((campaign / "campaign.json").read_bytes())
-    with pytest.raises(StorageError, match=r"not finished \(0 of 6 chunks\): go on with .*--resume"):
+    with pytest.raises(StorageError, match=r"holds no dataset\.parquet; if its campaign is not finished, run"):
         load_dataset(tmp_path)
 
 
@@ -249,25 +210,19 @@ def test_flatness_is_the_share_of_the_library_near_the_best():
     assert flatness(lost, 0.05) == pytest.approx([0.0, 0.0])  # a condition that fails with every tuning is not flat
 
 
-def test_a_description_is_plain_json_and_says_what_is_in_the_data(campaign):
-    data = load_dataset(campaign)
-    said = describe(data)
-    assert json.loads(json.dumps(said, allow_nan=False)) == said
-    assert (said["operating_points"], said["computed"], said["library"]) == (48, 36, 8)
-    assert (said["profile"], said["scenario"], said["vehicle"], said["tyre"]) == (
-        "paper",
-        "step",
-        "paper",
-        "magic-formula",
-    )
-    assert [row["quantity"] for row in said["ranges"]] == ["speed", "y_ref", "friction", "wind"]
-    assert said["ranges"][1] == {"quantity": "y_ref", "unit": "m", "lowest": -4.0, "highest": 6.0, "levels": 4}
-    assert [row["target"] for row in said["optimum"]] == list(TARGETS)
-    assert said["optimum"][0]["lowest"] == data.tunings[:, 0].min()
-    assert all(row["r2"] is None for row in said["optimum"])  # 36 conditions are too few
-    assert [row["within"] for row in said["flatness"]] == [0.05, 0.2]
-    assert said["costs"]["standard_over_best_geomean"] > 1.0
-    assert said["evaluations"] == 36 * 20
+def test_a_summary_is_plain_json():
+    data = load_dataset("paper-grid")
+    summary = describe(data)
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert (summary["operating_points"], summary["computed"], summary["library"]) == (6435, 5005, 160)
+    assert [summary[key] for key in ("profile", "scenario", "vehicle", "tyre")] == [
+        "paper", "step", "paper", "magic-formula",
+    ]  # fmt: skip
+    assert summary["ranges"][1] == {"quantity": "y_ref", "unit": "m", "lowest": -14.0, "highest": 14.0, "levels": 9}
+    assert [row["target"] for row in summary["optimum"]] == list(TARGETS)
+    assert summary["optimum"][0]["lowest"] == data.tunings[data.computed, 0].min()
+    assert [row["within"] for row in summary["flatness"]] == [0.05, 0.2]
+    assert summary["costs"]["standard_over_best_geomean"] > 1.0
 
 
 def test_optima_at_the_bounds_of_the_search_are_counted():
@@ -286,5 +241,27 @@ def test_a_description_survives_operating_points_where_every_tuning_fails():
     assert (said["costs"]["failed_by_all"], said["costs"]["library_failed"]) == (60, 1.0)
 
 
-def test_every_public_name_of_the_room_is_there():
-    assert all(hasattr(room, name) for name in room.__all__)
+# -- pages ------------------------------------------------------------------------------------------------------------
+def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
+    points = grid(speed=(5.0, 10.0, 15.0), y_ref=(-4.0, 4.0, 8.0), friction=(0.5, 0.9), wind=(-10.0, 0.0, 10.0))
+    data = wild(len(points), operating_points=points)
+    heat = pictures.optimum_maps(data)[3].marks[0]
+    members = (points[:, 0] == 10.0) & (points[:, 2] == 0.9)
+    assert np.shape(heat.values) == (2, 3)
+    assert heat.values[1][1] == np.median(data.tunings[members, 0])
+
+
+def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
+    points = grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,))
+    data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 8.0, 8.0])
+    line = pictures.gain_panel(data).marks[2]
+    assert (list(line.x), list(line.y)) == ([5.0, 10.0], [3.0, 8.0])
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_page_is_written_also_where_every_run_failed(tmp_path, lost):
+    failures = {"costs": np.full(60, np.inf), "landscape": np.full((60, 7), np.inf)}
+    data = wild(provenance={"name": "made <b>"}, **(failures if lost else {}))
+    text = write_result(tmp_path, dataset_result(data)).read_text()
+    assert "made &lt;b&gt;" in text
+    assert ("<svg role" in text) is not lost

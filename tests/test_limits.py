@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from campaign_fakes import small
 
 from adaptrack.base import limits
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import Moves, Tuning, published_mpc
+from adaptrack.paper.campaign_config import CampaignConfig, Plan
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.tuning.config import CampaignConfig, Plan
-from campaign_fakes import small
 
 LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]
 

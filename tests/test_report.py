@@ -43,8 +43,8 @@ from adaptrack.results import (
     write_report,
     write_result,
 )
-from adaptrack.results.comparison_pictures import shared_scale
 from adaptrack.results.dots import Dot, notes
+from adaptrack.results.evaluation import shared_scale
 from adaptrack.results.maps import edges_around
 from pictures import pictures
 

@@ -1,6 +1,5 @@
-"""The paper's experiment: what is run, how the gain is taken apart, and that the page says what the numbers say."""
+"""The paper's experiment: its runs, the parts of the gain, and the order of the page."""
 
-import dataclasses
 import html
 import json
 import math
@@ -12,15 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.result import Column
 from adaptrack.control.scheduling import Constant, check_scheduler
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import PUBLISHED
-from adaptrack.learning.adaptation.recipes import trained_schedule
-from adaptrack.learning.training import train
-from adaptrack.results import knowing, style
+from adaptrack.paper import reproduce as paper
+from adaptrack.paper.reproduce import best_of_library, grid_lookup, reproduce
+from adaptrack.paper.schedules import trained_schedule
+from adaptrack.paper.training import train
 from adaptrack.results import reproduce as page
-from adaptrack.studies import reproduce as paper
-from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
+from adaptrack.results import style
+from adaptrack.results.page import write_result
 from pictures import pictures
 from small_data import LIBRARY, SEARCH, small
 
@@ -99,24 +100,9 @@ def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_searc
     assert (tunings <= high).all()
 
 
-def test_clamps_replace_the_bounds_where_they_are_finite(trained):
-    data, fitted = small(), trained["nn", "paper"]
-    entries = trained_schedule(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).tuning
-    bounds = {name: (entry.low, entry.high) for name, entry in entries.items()}
-    assert bounds == {"Np": (9.0, 55.0), "Nc": (1.0, 18.0), "Q": (0.75, 20.0), "R": (0.001, 0.1)}
-
-
 def test_a_data_set_that_does_not_tell_its_search_is_refused(trained):
     with pytest.raises(InvalidInput, match="bounds of its search"):
         trained_schedule(trained["nn", "paper"], small(provenance={"name": "mute"}))
-
-
-def test_quality_tells_the_size_of_every_function(trained):
-    for (model, _), fitted in trained.items():
-        for row in fitted.quality:
-            assert row["parameters"] > 0
-            assert (row["rules"] is None) == (model == "nn")
-            assert (row["dead_share"] is None) == (model == "anfis")
 
 
 # -- the experiment ---------------------------------------------------------------------------------------------------
@@ -215,11 +201,6 @@ def test_the_ablation_has_every_moves_with_every_tuning(made):
     assert {row["controller"] for row in made.ablation if row["adapts"]} == {"nn", "anfis"}
 
 
-def test_swapping_all_three_numbers_spans_table_and_constant(made):
-    assert {row["changed"] for row in made.swaps} == {"Np", "Nc", "R/Q"}
-    assert all(row["mse"] > 0.0 for row in made.swaps)
-
-
 def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
     table = Constant(paper.TABLE)
     rows = paper.ablation(
@@ -234,30 +215,7 @@ def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
         assert row["pole_share"] == pytest.approx(1.0)
 
 
-def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_missing(made, tmp_path, monkeypatch):
-    def equal(one, other):
-        timed = {"seconds", "training_seconds", "learning"}
-        one, other = one.as_json(), other.as_json()
-        assert {key: one[key] for key in one.keys() - timed} == {key: other[key] for key in other.keys() - timed}
-
-    first = reproduce(small(), quick=True, folder=tmp_path)
-    equal(first, made)
-    kept = {path.name for path in (tmp_path / "stages").iterdir()}
-    assert kept == {
-        "training-nn.json", "training-anfis.json", "driving-both-configurations.json", "taking-the-gain-apart.json",
-        "swapping-numbers.json", "knowing-the-car.json",
-    }  # fmt: skip
-    (tmp_path / "stages" / "swapping-numbers.json").unlink()
-    for name in ("train", "measure", "ablation"):
-        monkeypatch.setattr(paper, name, lambda *given, name=name, **more: pytest.fail(f"{name} was called"))
-    heard = []
-    again = reproduce(small(), quick=True, folder=tmp_path, progress=lambda *at: heard.append(at))
-    equal(again, first)
-    assert again.learning == first.learning, "the times of the training, too"
-    assert heard == [("swapping numbers", 0, 7), ("timing steps", 1, 7)]
-
-
-# -- what knowing the car brings --------------------------------------------------------------------------------------
+# -- the informed controller --------------------------------------------------------------------------------------
 def test_both_profiles_are_driven_by_the_published_the_adapted_and_the_informed_controller(made):
     for profile in ("paper", "road"):
         for test in TESTS:
@@ -273,51 +231,6 @@ def test_on_the_ideal_car_there_is_nothing_to_know_and_on_the_road_it_keeps_the_
         assert ideal == pytest.approx(published, rel=0.05)
         assert found["road", test, "standard-as-written"]["failed"] == found["road", test, "informed"]["runs"]
         assert found["road", test, "informed"]["failed"] == 0
-
-
-def known(**errors):
-    """Rows of one profile and test; None: every run failed."""
-    return [
-        {
-            "profile": "road", "scenario": TESTS[0], "controller": name.replace("_", "-"), "runs": 10, "mse": mse,
-            "failed": 10 if mse is None else 0, "rms_rate": None if mse is None else 0.1,
-        }
-        for name, mse in errors.items()
-    ]  # fmt: skip
-
-
-def test_the_words_on_knowing_follow_the_numbers():
-    rows = known(standard_as_written=None, nn=0.5, anfis=0.25, informed=0.5)
-    assert (
-        "its mean square error is 2.0 (triple lane change) times that of the better adaptation"
-        in knowing.in_a_sentence(rows)
-    )
-    said = knowing.outcome(rows, "road")
-    assert "0.500 m², that of the best other, the paper's ANFIS, 0.250 m²" in said
-    assert said.endswith("Runs fail with the published constant as written.")
-    alone = known(standard_as_written=None, nn=None, anfis=None, informed=0.5)
-    assert (
-        "it keeps the car on the triple lane change, where both adaptations of the paper fail"
-        in knowing.in_a_sentence(alone)
-    )
-    assert "it alone stays on the road" in knowing.outcome(alone, "road")
-    lost = known(standard_as_written=1.0, nn=1.0, anfis=1.0, informed=None)
-    assert "in profile road it fails on the triple lane change" in knowing.in_a_sentence(lost)
-    assert "it fails in 10 of 10 runs" in knowing.outcome(lost, "road")
-
-
-def test_the_table_on_knowing_shows_failed_runs_and_never_prefers_one():
-    rows = known(standard_as_written=None, nn=0.5, informed=0.4)
-    rows[1]["failed"] = 3
-    table = knowing.knowing_table(rows)
-    assert {row["profile"] for row in table.rows} == {"Profile road"}
-    (column,) = (column.name for column in table.columns if column.name.startswith("mse"))
-    shown = {row["name"]: row[column] for row in table.rows}
-    assert shown[knowing.NAMES["nn"]] == "failed, 3 of 10"
-    assert [table.rows[i]["name"] for i, _ in sorted(table.best)] == [knowing.NAMES["informed"]]
-    assert [table.rows[i]["name"] for i, _ in sorted(table.alert)] == [
-        name for name, value in shown.items() if isinstance(value, str)
-    ]
 
 
 # -- the gain, taken apart --------------------------------------------------------------------------------------------
@@ -352,104 +265,43 @@ def test_a_run_without_an_error_has_no_shares():
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
-def rigged(made, **errors):
-    """The same outcome, but for the mean square errors of some controllers, by name."""
+def test_bold_is_the_smallest_error_of_its_group_that_did_not_fail_and_never_hindsight():
+    def run(controller, mse, failed=0):
+        return {"controller": controller, "mse": mse, "failed": failed, "runs": 10}
 
-    def changed(row):
-        mse = errors.get(row["controller"].replace("-", "_"))
-        return row if mse is None or row["preview"] else {**row, "mse": mse, "failed": False}
-
-    return dataclasses.replace(made, rows=[changed(row) for row in made.rows])
-
-
-def test_the_page_says_that_the_learned_controllers_lose_when_they_lose(made):
-    lead = " ".join(page.in_short(rigged(made, nn=9.0, anfis=9.0, standard_as_written=1.0)))
-    assert "neither NN-MPC nor ANFIS-MPC tracks better than the standard MPC as written on either test" in lead
-    assert "9.00 and 9.00 against 1.00 m²" in lead
-
-
-def test_the_page_says_that_they_win_when_they_win(made):
-    lead = " ".join(page.in_short(rigged(made, nn=0.5, anfis=0.6, standard_as_written=1.0)))
-    assert "both NN-MPC and ANFIS-MPC track better than the standard MPC as written on both tests" in lead
-
-
-def test_the_page_tells_one_winner_from_one_loser(made):
-    rows = rigged(made, nn=0.5, anfis=2.0, best_constant=1.0).rows
-    said = page.against(rows, "same-moves", "best-constant")
-    assert said.startswith(
-        "NN-MPC tracks better than the best constant of the data on both tests, ANFIS-MPC on neither"
-    )
-
-
-def test_a_failed_run_never_wins(made):
     rows = [
-        {**row, "mse": 1e-9, "failed": True} if row["controller"] == "nn" and not row["preview"] else row
-        for row in rigged(made, anfis=2.0, best_constant=1.0).rows
+        {"name": "a", "test": "one", "x": run("nn", 0.1, failed=3)},
+        {"name": "b", "test": "one", "x": run("anfis", 0.3)},
+        {"name": "c", "test": "one", "x": run("best-in-hindsight", 0.2)},
+        {"name": "d", "test": "two", "x": run("nn", 5.0)},
     ]
-    assert page.against(rows, "released", "best-constant").startswith("neither")
-    assert "NN-MPC" not in page.winners(rows, "released").split("; with preview")[0]
-
-
-def test_a_lost_run_is_told_with_its_cause():
-    row = {"configuration": "released", "scenario": TESTS[0], "controller": "lookup", "preview": False, "failed": True,
-           "failed_at": 3.04, "failed_because": "spun"}  # fmt: skip
-    assert page.failures([row, {**row, "failed": False}], "released") == [
-        "Failed: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
-    ]
-
-
-def test_errors_far_from_the_papers_are_named():
-    row = {"configuration": "released", "scenario": TESTS[0], "controller": "nn", "paper_mse": 1.0, "ratio": 1.2}
-    assert page.agreement([row] * 2, "released") == (
-        "As released: all 2 mean square errors of the paper come out within 25 %."
-    )
-    far = {**row, "controller": "anfis", "ratio": 3.0}
-    assert page.agreement([row, far], "released") == (
-        "As released: 1 of the 2 mean square errors of the paper come out within 25 %; not ANFIS-MPC, triple lane "
-        "change: 3.00 times the paper's."
-    )
-
-
-@pytest.mark.parametrize(
-    ("errors", "words"),
-    [
-        ((8.0, 1.0, 8.0, 1.0), "100 % of their gain, by its logarithm; adaptation makes no difference"),
-        ((8.0, 1.0, 9.0, 1.1), "(so more than all); adaptation takes some of it back in every case"),
-        ((8.0, 2.0, 4.0, 1.0), "67 % of their gain, by its logarithm; adaptation is 33 %"),
-        ((1.0, 1.0, 2.0, 2.0), "no gain over the standard MPC to explain"),
-    ],
-)
-def test_pole_and_adaptation_get_what_the_numbers_give_them(errors, words):
-    assert words in page.pole_or_adaptation(paper.shares(corners(*errors)))
+    table = page.errors_table("t", "T", [Column("name", "Name"), Column("x", "x")], rows, group="test")
+    assert [row["x"] for row in table.rows] == ["failed, 3 of 10", 0.3, 0.2, 5.0]
+    assert table.best == {(1, "x"), (3, "x")}
+    assert table.alert == {(0, "x")}
 
 
 @pytest.fixture(scope="module")
-def report(made, tmp_path_factory):
+def result(made):
+    return page.reproduction_result(made, "adaptrack paper reproduce --quick")
+
+
+def test_the_headline_counts_the_errors_near_the_papers(made, result):
+    ratios = [row["ratio"] for row in made.rows if row["configuration"] == "released" and row["ratio"] is not None]
+    near = sum(abs(ratio - 1.0) <= 0.25 for ratio in ratios)
+    assert result.answer == f"{near} of the paper's 6 mean square errors come out within 25 %."
+    assert [row["paper triple-lane-change"] for row in result.table("published").rows] == [0.0318, 0.0051, 0.0062]
+
+
+def test_the_page_begins_with_the_papers_errors_and_figures_then_shows_the_parts_of_the_gain(result, tmp_path):
     with pytest.MonkeyPatch.context() as patch, pictures(drawn=True):
         patch.setattr(style, "PNG_DPI", 20)
-        return page.write_reproduction(tmp_path_factory.mktemp("page"), made, command="adaptrack reproduce --quick")
-
-
-def test_the_page_has_figures_6_to_10_and_every_table(report):
-    words = words_of(report)
-    for number in ("6", "7", "8", "9", "10"):
-        assert f"paper's figure {number}." in words
-    for part in ("0.0318", "0.5896", "Where the gain comes from", "What was learned", "Do they hold here?"):
-        assert part in words
-    assert {path.suffix for path in report.parent.iterdir()} == {".html", ".png"}
-
-
-def test_the_comparison_with_the_paper_comes_before_the_figures(report):
-    titles = [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", report.read_text())]
-    assert titles[:4] == ["All controllers", "The paper's statements", "What knowing the car brings", "At a glance"]
-    assert titles.index("General trajectory") < titles.index("Where the gain comes from")
-
-
-def test_the_page_shows_no_raw_value(report):
-    words = words_of(report).split("Provenance")[0]
-    assert not re.search(r"\b(None|nan|inf|True|False)\b", words)
-
-
-def test_a_quick_run_says_so(made, report):
-    assert "This was a quick run" in words_of(report)
-    assert not any("quick" in part for part in page.in_short(dataclasses.replace(made, quick=False)))
+        path = write_result(tmp_path, result)
+    words = words_of(path)
+    order = ["Mean square tracking errors", "0.0318", "0.5896", *(f"Figure {number}." for number in range(6, 11)),
+             "As released: the standard MPC", "The plant as released"]  # fmt: skip
+    places = [words.index(part) for part in order]
+    assert places == sorted(places)
+    assert "This was a quick run" in words
+    assert not re.search(r"\b(None|nan|inf|True|False)\b", words.split("The full record")[0])
+    assert {file.name for file in tmp_path.glob("*.png")} == {f"figure-{number}.png" for number in range(6, 11)}

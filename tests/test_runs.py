@@ -24,10 +24,8 @@ from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import (
-    PERCEPTIONS,
     operating_point_runs,
     paper_test_runs,
-    perception,
     random_drive_runs,
 )
 from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
@@ -182,17 +180,6 @@ def test_the_counts_of_a_run_set_are_those_of_its_schedule():
 FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 
 
-def test_a_perception_without_errors_tells_the_truth():
-    for known, truth in zip(Perception().known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_array_equal(known, truth)
-
-
-@pytest.mark.parametrize("bias", [0.2, -0.2])
-def test_a_bias_tells_that_much_more_of_both(bias):
-    for known, truth in zip(Perception(bias=bias).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_allclose(known, (1.0 + bias) * truth, rtol=1e-14)
-
-
 @pytest.mark.parametrize(("delay", "periods"), [(0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)])
 def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start(delay, periods):
     for known, truth in zip(Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
@@ -217,18 +204,6 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
         assert error.std() == pytest.approx(0.1, rel=0.03)
         assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.03
     assert abs(np.corrcoef(*errors)[0, 1]) < 0.03
-
-
-def test_what_is_known_depends_on_its_seed_alone():
-    one, again, other = (Perception(noise=0.1).known(FRICTION, WIND, 0.05, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, again)
-    assert (one[0] != other[0]).all()
-    assert (one[1] != other[1]).all()
-
-
-def test_friction_that_is_known_is_always_positive():
-    friction, _ = Perception(noise=3.0).known(np.full(500, 0.5), np.zeros(500), 0.05, 0)
-    assert friction.min() == 0.01
 
 
 @pytest.mark.parametrize(
@@ -271,11 +246,6 @@ def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_
     np.testing.assert_array_equal(batch.samples[:, felt], plain.samples[:, felt])
 
 
-def test_equal_roads_are_not_known_with_equal_errors():
-    known = run_set([random_drive(3, 2.0)] * 2, known_as=Perception(noise=0.1)).variables[..., 2:4]
-    assert (known[0] != known[1]).all()
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(plant):
@@ -303,16 +273,6 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(load_profile("road").period).friction.mean(axis=1)
     assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"
-
-
-@pytest.mark.compiled
-def test_the_runs_of_a_batch_have_estimators_of_their_own():
-    scenarios = [random_drive(seed, 3.0) for seed in range(6, 10)]
-    known = FrictionWindEstimator.of(SingleTrack(CAR))
-    together = run_set(scenarios, known_as=known).drive(by_friction(), [1])
-    alone = [run_set([each], known_as=known).drive(by_friction(), [1])[0] for each in scenarios]
-    np.testing.assert_array_equal(together, alone)
-    assert (together != run_set(scenarios).drive(by_friction(), [1])).all()
 
 
 # -- who may drive ----------------------------------------------------------------------------------------------------
@@ -354,14 +314,6 @@ def test_an_mpc_costs_the_same_compiled_and_in_python_and_may_be_another_than_th
     np.testing.assert_allclose(runs.drive(in_python, [1]), runs.drive(other, [1]), rtol=1e-9)
 
 
-@pytest.mark.compiled
-def test_a_controller_in_python_that_leaves_the_road_has_failed():
-    scenario = load_scenario("lane-change", speed=20.0, amplitude=4.0, friction=0.8, duration=8.0)
-    runs = run_set([scenario])
-    assert runs.drive(Proportional(-0.5), [1])[0, 0] == math.inf
-    assert runs.costs(Proportional(-0.5), [1])[0] == FAILED_COST
-
-
 class Curious(Proportional):
     """Writes down the friction and the wind that it knows."""
 
@@ -400,11 +352,3 @@ def test_only_the_papers_tests_are_its_tests():
     assert len(paper_test_runs(SingleTrack(CAR), controller(), next(iter(PUBLISHED)))) == 1
     with pytest.raises(InvalidInput, match="must be one of"):
         paper_test_runs(SingleTrack(CAR), controller(), "sine")
-
-
-def test_ways_of_knowing_have_names():
-    assert perception("exact", SingleTrack(CAR)) is None
-    assert isinstance(perception("estimated", SingleTrack(CAR)), FrictionWindEstimator)
-    assert all(perception(name, SingleTrack(CAR)) is PERCEPTIONS[name] for name in PERCEPTIONS)
-    with pytest.raises(InvalidInput, match=r"'nosy'.*noisy"):
-        perception("nosy", SingleTrack(CAR))

@@ -23,23 +23,20 @@ DOCS = PROJECT / "docs"
 PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 
 LONG_COMMANDS = {
-    "adaptation": "39 minutes",
     "compare": "1 minute to hours",
-    "campaign": "5 minutes",
     "certify": "5 s, and more with several inputs",
     "check-loop": "needs a log",
-    "dataset describe paper-grid": "15 s",
-    "dataset describe road-sobol": "15 s",
-    "dataset describe campaigns": "needs a campaign that is done",
     "car my-car.toml --tir": "needs a tyre file",
     "drive country --vehicle my-car.toml": "needs a car that is identified or tuned",
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
     "drive road.csv --vehicle my-car.toml --controller informed": "needs a tuning that is found",
-    "evaluate-schedules": "10 minutes",
     "identify": "needs a log",
-    "reproduce": "2 minutes",
+    "paper adapt": "39 minutes",
+    "paper campaign": "5 minutes",
+    "paper evaluate": "10 minutes",
+    "paper reproduce": "2 minutes",
+    "paper train": "30 s",
     "shadow": "needs a log",
-    "train": "30 s",
     "tune": "1 to 20 minutes",
 }
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""

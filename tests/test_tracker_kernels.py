@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -234,7 +235,7 @@ def test_about_the_seam_of_a_long_lap_both_sides_count():
 # -- schedules --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("known", "friction", "wind"), [((0.5, 6.0), 0.5, 6.0), ((math.nan, math.nan), 0.65, 0.0)])
 def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(known, friction, wind):
-    scheduler = load_scheduler("road-nn-unguarded")
+    scheduler = replace(load_scheduler("road-nn"), guard=None)
     tracking, step = compiled(published_mpc(CAR, scheduler=scheduler, period=0.05))
     found = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *known)
     wanted = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-found[TRACKED.offset]))

@@ -5,12 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput, UnknownName
-from adaptrack.control.scheduling import Network, Sugeno
-from adaptrack.learning import ANFIS, MLP, TARGETS, boosting, train
-from adaptrack.learning import training as module
-from adaptrack.tuning.dataset import DataSet
-from adaptrack.tuning.operating_points import NAMES, fold, grid, mirrored, sobol
+from adaptrack.base.errors import InvalidInput
+from adaptrack.paper import ANFIS, MLP, TARGETS, train
+from adaptrack.paper import training as module
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.operating_points import NAMES, fold, grid, mirrored, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
@@ -46,7 +45,7 @@ def tuned(conditions, noise=0.0):
 def few_trees():
     """A ceiling that takes a fifth of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(boosting, "TREES", 60)
+        patch.setattr(module, "TREES", 60)
         yield
 
 
@@ -95,22 +94,6 @@ def test_a_smooth_schedule_is_learned(dataset, trained):
         assert row["ceiling_r2"] > 0.8
         spread = module.target(held, row["slot"]).std()
         assert row["ceiling_rmse"] == pytest.approx(spread * np.sqrt(1.0 - row["ceiling_r2"]))
-
-
-def test_the_domain_is_that_of_the_rows_trained_on(dataset, trained):
-    learned, _ = dataset.split(0.2, 1)
-    np.testing.assert_array_equal(trained.domain[:, 0], learned.operating_points.min(axis=0))
-    np.testing.assert_array_equal(trained.domain[:, 1], learned.operating_points.max(axis=0))
-
-
-def test_what_runs_is_plain_arrays(trained):
-    plain, other, kind = ("network", "system", Network) if trained.model == "nn" else ("system", "network", Sugeno)
-    assert isinstance(getattr(trained, plain)("Np"), kind)
-    with pytest.raises(InvalidInput, match=rf"use {plain}\('Np'\)"):
-        getattr(trained, other)("Np")
-    with pytest.raises(UnknownName, match=r"no slot is named 'log_ratio'\. Did you mean 'log10_ratio'"):
-        getattr(trained, plain)("log_ratio")
-    assert trained.histories["Np"] is trained.estimators["Np"].history_
 
 
 def test_no_twin_of_a_held_out_condition_is_trained_on(monkeypatch):

@@ -290,9 +290,9 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     over that of `PlainController` at the same operating points; `ratio_to_scalar`: over one run at a time on one
     thread, the same kernels with a single slot.
     """
-    from adaptrack.tuning.config import load_campaign
+    from adaptrack.paper.campaign_config import load_campaign
+    from adaptrack.paper.operating_points import paper_grid
     from adaptrack.tuning.objective import Objective
-    from adaptrack.tuning.operating_points import paper_grid
 
     threads = threads or os.cpu_count() or 1
     car = load_vehicle("paper")

@@ -179,26 +179,12 @@ _PUBLIC = {
         "minimise",
     ),
     "tuning.objective": ("Objective",),
-    "tuning.config": (
-        "CampaignConfig",
-        "list_campaigns",
-        "load_campaign",
-    ),
-    "tuning.campaign": ("run_campaign",),
     "tuning.car": ("TunedCar", "TuningEffort", "tune"),
-    "tuning.dataset": (
-        "DataSet",
-        "list_datasets",
-        "load_dataset",
-    ),
-    "learning.training": ("train",),
     "comparison.contenders": (
         "Contender",
         "get_contender",
         "list_contenders",
     ),
-    "learning.adaptation.config": ("load_adaptation",),
-    "studies.adapt": ("adapt",),
     "identification.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
     "export.fmu": ("export_fmu",),
@@ -320,17 +306,11 @@ if TYPE_CHECKING:
     from adaptrack.export.page_file import export_page
     from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.identification.shadow import Shadow, shadow
-    from adaptrack.learning.adaptation.config import load_adaptation
-    from adaptrack.learning.training import train
     from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scenario.profile import Profile, list_profiles, load_profile
-    from adaptrack.studies.adapt import adapt
-    from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.car import TunedCar, TuningEffort, tune
-    from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
-    from adaptrack.tuning.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 
@@ -344,14 +324,12 @@ __all__ = [
     "BeliefState",
     "Body",
     "CFunction",
-    "CampaignConfig",
     "CarRanges",
     "ConfigError",
     "Constant",
     "Contender",
     "ContractError",
     "Controller",
-    "DataSet",
     "Deadbeat",
     "Domain",
     "Drifts",
@@ -422,7 +400,6 @@ __all__ = [
     "UserPlant",
     "Vehicle",
     "__version__",
-    "adapt",
     "check_controller",
     "check_estimator",
     "check_model",
@@ -444,10 +421,8 @@ __all__ = [
     "get_qp_solver",
     "identify",
     "informed_tuning",
-    "list_campaigns",
     "list_contenders",
     "list_controllers",
-    "list_datasets",
     "list_estimators",
     "list_models",
     "list_plants",
@@ -456,9 +431,6 @@ __all__ = [
     "list_schedulers",
     "list_tyres",
     "list_vehicles",
-    "load_adaptation",
-    "load_campaign",
-    "load_dataset",
     "load_learned_car",
     "load_profile",
     "load_road",
@@ -481,11 +453,9 @@ __all__ = [
     "road_through",
     "rollout",
     "rollout_batch",
-    "run_campaign",
     "save_scheduler",
     "shadow",
     "simulate",
-    "train",
     "tune",
     "tyre_from_table",
     "vehicle_from_data_sheet",

@@ -8,25 +8,20 @@ import typer
 
 from adaptrack import __version__
 from adaptrack.cli import (
-    adaptation,
-    campaign,
     car,
     certify,
     check_loop,
     compare,
-    dataset,
     drive,
-    evaluate_schedules,
     export,
     export_fmu,
     export_page,
     identify,
     list_names,
-    reproduce,
+    paper,
     road,
     shadow,
     simulate,
-    train,
     tune,
 )
 
@@ -68,17 +63,12 @@ for command in (
     simulate.simulate,
     car.car,
     tune.tune,
-    campaign.campaign,
-    train.train,
-    reproduce.reproduce,
-    adaptation.adaptation,
     certify.certify,
-    evaluate_schedules.evaluate_schedules,
     compare.compare,
 ):
     app.command()(command)
 app.command("list")(list_names.list_names)
-app.add_typer(dataset.app, name="dataset")
+app.add_typer(paper.app, name="paper")
 export.app.command("fmu")(export_fmu.export_fmu)
 export.app.command("page")(export_page.export_page)
 app.add_typer(export.app, name="export")

@@ -1,93 +1,62 @@
-"""`adaptrack campaign`: an MPC tuned on every operating point of a campaign."""
+"""`adaptrack paper campaign`: tune the MPC at every operating point of a campaign."""
 
 from __future__ import annotations
 
-import math
-import os
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Option
 
 from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, say_next
-
-if TYPE_CHECKING:
-    from adaptrack.tuning.campaign import Progress
-    from adaptrack.tuning.config import CampaignConfig
-
-STEPS_PER_S = 8e5
-"""Control steps that one thread simulates in a second (docs/campaign.md), for an estimate."""
+from adaptrack.cli.next_step import command, next_line
 
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOptions:
-    """Options of `adaptrack campaign`."""
+    """Options of `adaptrack paper campaign`."""
 
-    config: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Name (paper-grid, road-sobol, ...) or .toml file.")]
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of the campaign.")]
-    profile: options.OtherProfile = None
-    resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="CAMPAIGN",
+            help="Name (paper-grid, road-sobol) or .toml file; without --out a data set: name, file or folder.",
+        ),
+    ]
+    out: Annotated[
+        Path | None, Option("--out", metavar="DIR", help="Folder of the campaign; without it, nothing is computed.")
+    ] = None
     workers: options.Workers = None
-    dask: Annotated[
+    cluster: Annotated[
         str | None,
-        Option("--dask", metavar="ADDRESS", hidden=True, help="Dask scheduler whose workers do it, tcp://HOST:PORT."),
+        Option("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers compute, tcp://HOST:PORT."),
     ] = None
     as_json: options.Json = False
 
 
 @options.grouped
 def campaign(given: CampaignOptions) -> None:
-    """Tune an MPC on every operating point of a campaign.
+    """Tune the MPC at every operating point of a campaign, or describe its data set.
 
-    A swarm for each, and the cost of a common library of tunings. Runs that fail are counted; the exit code is 0.
+    With --out: run the campaign in that folder, or continue one that was interrupted, and write a page on its data set.
+    Without --out: describe the data set that ships under this name, or that lies in this file or folder.
     """
-    from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
-    from adaptrack.tuning.config import load_campaign
-    from adaptrack.tuning.dataset import load_dataset
+    from adaptrack.paper.campaign import run_campaign
+    from adaptrack.paper.campaign_config import load_campaign
+    from adaptrack.paper.data_set import load_dataset
+    from adaptrack.results.dataset import dataset_result
+    from adaptrack.results.page import write_result
 
-    out, dask = given.out, given.dask
-    config = load_campaign(given.config).in_profile(given.profile)
-    show.say(_estimate(config, None if dask else given.workers or os.cpu_count() or 1), aside=True)
-    interrupt.kept(f"Finished chunks, if any, are kept in {out}: go on with --resume.")
-    begun, runs = time.perf_counter(), 0
-    try:
+    if given.out is None:
+        result, page = dataset_result(load_dataset(given.name)), None
+    else:
+        config = load_campaign(given.name)
+        interrupt.kept(f"Finished parts are kept in {given.out}: run the command again to continue.")
         with show.progress("campaign") as advance:
-
-            def tell(at: Progress) -> None:
-                nonlocal runs
-                runs = at.runs
-                advance(f"{at.done:,} of {at.total:,} operating points, {at.runs_per_s:,.0f} runs/s", at.done, at.total)
-
-            file = run_campaign(config, out, resume=given.resume, workers=given.workers, dask=dask, progress=tell)
-    except CampaignInterrupted as stop:
-        interrupt.kept(str(stop).removeprefix("interrupted. "))
-        raise
-    seconds = time.perf_counter() - begun
-    costs = load_dataset(file).best_costs
-    failures = int((costs == math.inf).sum())
-    if given.as_json:
-        show.say_json({"dataset": str(file), "seconds": seconds, "runs": runs, "failures": failures})
-        return
-    show.say(f"At {failures or 'none'} of the {len(costs):,} operating points the run failed with every tuning.")
-    show.say(f"Data set: {file} ({seconds:,.0f} s)")
-    say_next("learn a scheduler from it", command("train", "--data", out, "--model", "nn", "--out", "nn.json"))
-
-
-def _estimate(campaign: CampaignConfig, threads: int | None) -> str:
-    """How much work a campaign is: runs, memory, and the time on so many threads of this machine."""
-    from adaptrack.scenario.profile import load_profile
-    from adaptrack.tuning.config import Plan
-
-    plan = Plan.of(campaign)
-    settled, points = plan.config, len(plan.fold.representatives)
-    runs = points * (settled.swarm.evaluations + len(plan.library)) * len(settled.noise_seeds or (0,))
-    size = 4e-6 * len(plan.operating_points) * len(plan.library)
-    work = f"adaptrack: {points:,} operating points, {runs:,} runs, {size:,.0f} MB"
-    if threads is None or settled.duration is None:
-        return f"{work}."
-    steps = runs * settled.duration / load_profile(settled.profile).period
-    return f"{work}; about {show.duration(steps / (STEPS_PER_S * threads))} on {threads} threads, in all."
+            file = run_campaign(config, given.out, workers=given.workers, cluster=given.cluster, progress=advance)
+        result = dataset_result(load_dataset(file))
+        with show.progress("write the page"):
+            page = write_result(given.out, result)
+    learn = command("paper", "train", "--data", given.out or given.name, "--model", "nn", "--out", "nn.json")
+    show.say_result(replace(result, next_step=next_line("to learn a schedule from it", learn)), given.as_json, page)

@@ -92,10 +92,7 @@ OtherProfile = Annotated[
 Png = Annotated[bool, Option("--png", hidden=True, help="With --out: the pictures as PNG files for print, too.")]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
 Data = Annotated[
-    str, Option("--data", metavar="NAME", help="Name (see `dataset list`), file, or folder of a campaign.")
-]
-DataSetName = Annotated[
-    str, typer.Argument(metavar="NAME", help="Name (see `dataset list`), file, or folder of a campaign.")
+    str, Option("--data", metavar="NAME", help="Data set: paper-grid, road-sobol, a file, or the folder of a campaign.")
 ]
 Page = Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
 LearningSeed = Annotated[int, Option("--seed", min=0, help="Of the hold-out and of the first weights.")]
@@ -106,7 +103,7 @@ Workers = Annotated[
         metavar="N",
         hidden=True,
         callback=at_most(WORKERS),
-        help="Threads of the campaign, by default one per core.",
+        help="Worker processes, by default one per core.",
     ),
 ]
 

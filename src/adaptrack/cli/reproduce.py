@@ -1,4 +1,4 @@
-"""`adaptrack reproduce`: the paper's experiment again."""
+"""`adaptrack paper reproduce`: repeat the paper's experiment."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Annotated
 
 from typer import Option
 
-from adaptrack.cli import interrupt, options, show
+from adaptrack.cli import options, show
 from adaptrack.cli.next_step import command, next_line
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceOptions:
-    """Options of `adaptrack reproduce`."""
+    """Options of `adaptrack paper reproduce`."""
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
     quick: Annotated[bool, Option("--quick", help="Learn for fewer epochs, from fewer operating points.")] = False
@@ -27,27 +27,24 @@ class ReproduceOptions:
 
 @options.grouped
 def reproduce(given: ReproduceOptions) -> None:
-    """Run the paper's experiment again.
+    """Repeat the paper's experiment.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
+    from adaptrack.paper.data_set import load_dataset
+    from adaptrack.paper.reproduce import reproduce as repeat_experiment
     from adaptrack.results.page import write_result
     from adaptrack.results.reproduce import reproduction_result
-    from adaptrack.studies.reproduce import reproduce as run_again
-    from adaptrack.tuning.dataset import load_dataset
 
-    out = given.out
     dataset = load_dataset(given.data)
-    options.make_folder(out)
-    interrupt.kept(f"Finished stages are kept in {out}: run the command again to go on.")
+    options.make_folder(given.out)
     with show.progress("reproduce") as advance:
-        made = run_again(dataset, quick=given.quick, seed=given.seed, folder=out, progress=advance)
+        reproduction = repeat_experiment(dataset, quick=given.quick, seed=given.seed, progress=advance)
     next_step = (
-        next_line("to learn as long as the paper did", command("reproduce", "--out", f"{out}-whole")) if given.quick
-        else next_line("to drive the controller that knows its car on a road",
-                       command("drive", "country", "--out", "drive"))
+        next_line("to learn as long as the paper did", command("paper", "reproduce", "--out", f"{given.out}-whole"))
+        if given.quick else next_line("to drive a road", command("drive", "country", "--out", "drive"))
     )  # fmt: skip
-    result = replace(reproduction_result(made, options.command_line()), next_step=next_step)
+    result = replace(reproduction_result(reproduction, options.command_line()), next_step=next_step)
     with show.progress("write the page"):
-        page = write_result(out, result)
+        page = write_result(given.out, result)
     show.say_result(result, given.as_json, page)

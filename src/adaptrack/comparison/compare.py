@@ -59,7 +59,7 @@ def compare(
     return Comparison.of_runs(
         driven, reference, roads=[str(each.name) for each in getattr(runs, "scenarios", [])] or None, seeds=seeds,
         where=where, overall=overall, failure=runs.failure, over=("seed",) if one else ("road",),
-        roles={each.name: Role(_controller(each, runs), each.adapts, each.hindsight, each.kind) for each in entered},
+        roles={each.name: Role(_controller(each, runs), each.adapts, each.hindsight) for each in entered},
     )  # fmt: skip
 
 

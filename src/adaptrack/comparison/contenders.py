@@ -6,9 +6,7 @@ registered controller is one by its name, made for the runs at hand: it must kno
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +36,6 @@ class Contender:
     """a schedule, a tuning, tunings (runs, 4), or a controller (`step`, `reset`, `period`, `name`)"""
     hindsight: bool = False
     """whether it was chosen knowing the runs"""
-    kind: str = ""
-    """what it is among the contenders of an adaptation: "nn", "look-up", "best constant", ...; empty: none of them"""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
@@ -122,7 +118,7 @@ def get_contender(name: str, runs: RunSet) -> Contender:
     """
     check_contender(name)
     if name == STANDARD:
-        return Contender(name, Tuning(), kind=name)
+        return Contender(name, Tuning())
     if name not in list_controllers():
         schedule = load_scheduler(name)
         return Contender(schedule.name, schedule)
@@ -131,56 +127,4 @@ def get_contender(name: str, runs: RunSet) -> Contender:
         raise InvalidInput(f"contender {name!r}: neither the MPC's model nor the plant of the runs has a vehicle.")
     offered = {"period": runs.mpc.period, "preview": runs.mpc.preview}
     made = get_controller(name, vehicle, profile=runs.profile, offered=offered)
-    return Contender(name, made, kind="" if name in OF_AN_ADAPTATION else name)
-
-
-# -- of an adaptation -------------------------------------------------------------------------------------------------
-ONCE = ("look-up", "paper recipe nn", "paper recipe anfis")
-"""Learned from operating points: on such they are called once, for the operating point itself."""
-CONSTANTS = ("best constant", "best constant on drives", "fallback")
-"""Called by what they are; the others are called as their files."""
-
-
-OF_AN_ADAPTATION = frozenset(
-    {
-        *CONSTANTS, *ONCE, "best constant of operating points", "optimum", "per-drive constant",
-        "nn", "anfis", "nn unguarded", "anfis unguarded", "speed only", "speed look-up",
-    }
-)  # fmt: skip
-"""Names that stand for what an adaptation makes."""
-
-
-def reserved() -> set[str]:
-    """Names that no file of one's own is called by."""
-    return {*OF_AN_ADAPTATION, STANDARD, *list_controllers()}
-
-
-def contenders_of(
-    schedules: Mapping[str, Any], points: Array | None = None, more: Sequence[Contender] = ()
-) -> dict[str, Contender]:
-    """The schedules of an adaptation (by kind) as they are driven, by name; then `more`.
-
-    There are two best constants, one for operating points and one for drives: on drives the latter is "best constant",
-    and the former is driven too.
-    """
-    policies: dict[str, Policy] = {STANDARD: Tuning(), **schedules}
-    policies.pop("fallback", None)
-    on_drives = policies.pop("best constant on drives", None)
-    if points is not None:
-        policies.update({kind: schedules[kind].batch(points) for kind in ONCE if kind in schedules})
-    elif on_drives is not None:
-        of_points = policies.pop("best constant", None)
-        if of_points is not None:
-            policies["best constant of operating points"] = of_points
-        policies["best constant"] = on_drives
-    known = [
-        Contender(shown_as(kind, schedules), policy, kind=kind if kind in reserved() else "")
-        for kind, policy in policies.items()
-    ]
-    return {each.name: each for each in (*known, *more)}
-
-
-def shown_as(kind: str, schedules: Mapping[str, Any]) -> str:
-    """How tables call a contender of an adaptation: by its file's name, constants by what they are."""
-    named = kind in schedules and kind not in CONSTANTS
-    return str(schedules[kind].name) if named else kind
+    return Contender(name, made)

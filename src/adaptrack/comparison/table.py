@@ -32,15 +32,13 @@ class Role:
     controller: str = "mpc"
     adapts: bool = True
     hindsight: bool = False
-    kind: str = ""
-    """see `Contender.kind`"""
     tuning: str = ""
     """default, tuned, scheduled, or the file of a tuning"""
 
     @property
     def deployable(self) -> bool:
-        """Whether one would drive with it: it needs no hindsight, and its guard is not taken off."""
-        return not self.hindsight and not self.kind.endswith(" unguarded")
+        """Whether one would drive with it: it needs no hindsight."""
+        return not self.hindsight
 
 
 def check_names(contenders: Sequence[str], reference: str) -> None:
@@ -213,10 +211,6 @@ class Comparison:
         """What a contender is."""
         return self.roles.get(name, Role())
 
-    def of_kind(self, *kinds: str) -> list[str]:
-        """The contenders of some kinds, in the order of the kinds."""
-        return [name for kind in kinds for name in self.contenders if self.role(name).kind == kind]
-
     @property
     def adaptive(self) -> list[str]:
         """The contenders whose tuning changes, and not by hindsight."""
@@ -226,7 +220,7 @@ class Comparison:
     def best(self) -> list[str]:
         """The cheapest contender that could be deployed, then those level with it.
 
-        What needs hindsight, and a schedule without its guard, only where there is nothing else.
+        A contender with hindsight only if there is no other.
         """
         judged = [each for each in self.contenders if self.role(each).deployable] or [self.reference]
         ranked = sorted(judged, key=lambda name: self.mean_ratio(name, self.reference))
@@ -236,7 +230,6 @@ class Comparison:
     def rows(self) -> list[dict[str, Any]]:
         """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures.
 
-        constant_...: likewise over the best constant, or, where that is the reference or missing, the controller's own.
         `views` has what tables of other kinds show.
         """
         return [self._row(name) for name in self.contenders]
@@ -245,26 +238,16 @@ class Comparison:
         over, costs = self.ratio(name, self.reference), _known(self.table(name))
         return {
             "contender": name,
-            "kind": self.role(name).kind,
             "controller": self.role(name).controller,
             "runs": len(costs),
             "cost_geomean": geometric_mean(costs),
             "regret_geomean": over.mean,
             "regret_low": over.low,
             "regret_high": over.high,
-            **self._over_constant(name),
             **{f"regret_{key}": value for key, value in regret_percentiles(_known(self.regret(name))).items()},
             "failures": int((self.table(name, "failed") > 0.0).sum()),
             **self.overall.get(name, {}),
         }
-
-    def _over_constant(self, name: str) -> dict[str, float]:
-        """The cost over that of the first constant that is not the reference."""
-        constants = [each for each in self.of_kind("best constant") if each != self.reference]
-        if not constants:
-            return {}
-        over = self.ratio(name, constants[0])
-        return {"constant_geomean": over.mean, "constant_low": over.low, "constant_high": over.high}
 
     def __repr__(self) -> str:
         return f"<Comparison of {len(self.contenders)} contenders on {self.table(self.reference).size} runs>"
@@ -277,39 +260,6 @@ class Comparison:
         """The comparison in a notebook."""
         return html_of(self)
 
-    # -- files --------------------------------------------------------------------------------------------------------
-    def as_json(self) -> dict[str, Any]:
-        """Everything, as plain JSON."""
-        return {
-            **{name: list(getattr(self, name)) for name in ("contenders", "cars", "roads", "seeds", "over")},
-            "cells": {name: _plain(values.tolist()) for name, values in self.cells.items()},
-            "reference": self.reference,
-            "roles": {name: vars(each) for name, each in self.roles.items()},
-            "overall": {name: dict(each) for name, each in self.overall.items()},
-            "where": self.where.tolist(),
-            "failure": vars(self.failure),
-        }
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Comparison:
-        """What `as_json` gave, to the bit; also what 0.2.0 wrote, which has the means over the noise seeds alone."""
-        roles = {name: Role(**each) for name, each in content["roles"].items()}
-        where, failure = np.array(content["where"], dtype=float), Failure(**content["failure"])
-        if "costs" in content:
-            driven = {
-                name: {"cost": costs, "failed": content["failures"][name]} for name, costs in content["costs"].items()
-            }
-            return cls.of_runs(
-                driven, content["reference"], where=where, roles=roles, overall=content["counts"], failure=failure
-            )
-        contenders, cars, roads, seeds, over = (
-            tuple(content[name]) for name in ("contenders", "cars", "roads", "seeds", "over")
-        )
-        cells = {name: _array(values) for name, values in content["cells"].items()}
-        return cls(
-            contenders, cars, roads, seeds, cells, content["reference"], roles, content["overall"], where, over, failure
-        )
-
 
 def _known(values: Array) -> Array:
     """(n,) those that are there."""
@@ -321,14 +271,6 @@ def _plain(values: Any) -> Any:
     if isinstance(values, list):
         return [_plain(each) for each in values]
     return None if isinstance(values, float) and not math.isfinite(values) else values
-
-
-def _array(values: Any) -> NDArray[Any]:
-    """The array of nested lists; None as NaN."""
-    try:
-        return np.array(values, dtype=float)
-    except ValueError:
-        return np.array(values, dtype=str)
 
 
 def finite(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

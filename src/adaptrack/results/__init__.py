@@ -18,7 +18,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 _PUBLIC = {
-    "dataset": ("write_dataset_report",),
     "drive": ("write_drive_page",),
     "drive_figures": ("above_figure", "along_figure"),
     "figures": ("conditions_figure", "speed_figure", "tracking_figure"),
@@ -29,7 +28,6 @@ _PUBLIC = {
 """Module -> the names that this package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
-    from adaptrack.results.dataset import write_dataset_report
     from adaptrack.results.drive import write_drive_page
     from adaptrack.results.drive_figures import above_figure, along_figure
     from adaptrack.results.figures import conditions_figure, speed_figure, tracking_figure
@@ -47,7 +45,6 @@ __all__ = [
     "conditions_figure",
     "speed_figure",
     "tracking_figure",
-    "write_dataset_report",
     "write_drive_page",
     "write_report",
     "write_result",

@@ -18,8 +18,6 @@ MOST_NAMED = 4
 """Contenders that an answer names beside the best."""
 THIN_MODULUS = 0.25
 """-, of the modulus margin, below which it is called thin: textbooks ask for 0.5 and more."""
-NEAR_CEILING = 0.9
-"""Share of the R^2 of boosted trees from which on a model has learned what there is to learn."""
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
@@ -104,28 +102,6 @@ def of_certificate(found: Certificate) -> str:
     return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {found.verdict}"
 
 
-# -- learning ---------------------------------------------------------------------------------------------------------
-def behind_trees(rows: Sequence[Row]) -> list[str]:
-    """What a model has learned less of than boosted trees did; rows: of `Trained.quality`."""
-    return [row["slot"] for row in rows if row["r2"] < NEAR_CEILING * row["ceiling_r2"]]
-
-
-def of_training(model: str, rows: Sequence[Row]) -> str:
-    """What of the best tuning was learned, beside what boosted trees learn of it; rows: of `Trained.quality`."""
-    shares = ", ".join(f"{row['slot']} {_percent(row['r2'])} (trees {_percent(row['ceiling_r2'])})" for row in rows)
-    behind = behind_trees(rows)
-    judged = f"; behind the trees in {', '.join(behind)}" if behind else "; as much as trees do"
-    return f"{model} explains on {rows[0]['n_holdout']:,} points held out: {shares}{judged}."
-
-
-def of_dataset(found: Mapping[str, Any]) -> str:
-    """How many operating points, and how much of their best tuning boosted trees learn; found: of `describe`."""
-    shares = ", ".join(f"{_percent(row['r2'])} of {row['target']}" for row in found["optimum"] if row["r2"] is not None)
-    return f"{found['name']}: {found['operating_points']:,} operating points; boosted trees explain {shares}."
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------

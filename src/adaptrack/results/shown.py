@@ -12,6 +12,7 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import Metrics
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.paper.data_set import DataSet
 from adaptrack.results.comparison_pictures import comparison_figure
 from adaptrack.results.dataset import dataset_figure, dataset_html
 from adaptrack.results.notebook import (
@@ -24,7 +25,6 @@ from adaptrack.results.notebook import (
     vehicle_figure,
     vehicle_html,
 )
-from adaptrack.tuning.dataset import DataSet
 
 
 @singledispatch

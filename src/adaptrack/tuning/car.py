@@ -26,9 +26,9 @@ from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.drive.failure import Failure
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet, random_drive_runs
+from adaptrack.tuning.spaces import Search
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

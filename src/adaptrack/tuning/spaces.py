@@ -1,16 +1,73 @@
-"""Where the best constant tuning of a controller is sought: a box around its own tuning, by the kind of controller."""
+"""Search spaces of tunings: bounds of an MPC's tuning, and the box around a controller's default tuning."""
 
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers import MPC, Bounds, Controller
-from adaptrack.tuning.config import Search
+from adaptrack.base.files import Record
+from adaptrack.control.controllers import MPC, Bounds, Controller, Tuning
 from adaptrack.tuning.pso import SearchSpace
+
+
+def as_tuples(value: Any) -> Any:
+    """Nested lists as tuples, as immutable records hold them."""
+    return tuple(as_tuples(entry) for entry in value) if isinstance(value, list | tuple) else value
+
+
+Pair = Annotated[tuple[float, float], BeforeValidator(as_tuples)]
+
+
+class Search(Record):
+    """Bounds of the tunings; the defaults are those of the authors' programs. Horizons are whole, and Nc <= Np."""
+
+    Np: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 55), description="control periods")
+    Nc: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 18), description="control periods")
+    Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
+    R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
+    decades: bool = Field(default=False, description="search Q and R by decades; wide bounds ask for it")
+
+    @model_validator(mode="after")
+    def _holds_a_tuning(self) -> Self:
+        for name in ("Np", "Nc", "Q", "R"):
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise ValueError(f"{name} = [{low:g}, {high:g}] is empty: need low <= high.")
+            if not (low >= 1 if name in ("Np", "Nc") else low > 0):
+                raise ValueError(f"{name} = [{low:g}, {high:g}]: must be {'>= 1' if name in ('Np', 'Nc') else '> 0'}.")
+        if self.Nc[0] > self.Np[0]:
+            raise ValueError(
+                f"Nc from {self.Nc[0]} and Np from {self.Np[0]}: Nc <= Np cannot hold at the lower bounds; "
+                "raise that of Np or lower that of Nc."
+            )
+        if self.Np[1] > 500 or self.Nc[1] > 100:
+            raise ValueError(f"Np up to {self.Np[1]}, Nc up to {self.Nc[1]}: must not exceed 500 and 100.")
+        return self
+
+    @classmethod
+    def around(cls, constant: Tuning) -> Self:
+        """Six decades of R/Q around a constant tuning, and its horizons; Q is 1: only R/Q changes the control law."""
+        ratio, Np, Nc = constant.R / constant.Q, max(60, constant.Np), max(18, constant.Nc)
+        return cls(Np=(5, Np), Nc=(1, Nc), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
+
+    def space(self) -> SearchSpace:
+        """The same for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
+        bounds = [tuple(float(each) for each in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
+        return SearchSpace(
+            names=("Np", "Nc", "Q", "R"),
+            low=tuple(low for low, _ in bounds),
+            high=tuple(high for _, high in bounds),
+            whole=("Np", "Nc"),
+            decades=("Q", "R") if self.decades else (),
+            ordered=("Nc", "Np"),
+            spread=2.0,
+        )
+
 
 PUBLISHED = Search(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3, 1e7), decades=True)
 """Of the paper's controller, whose best R/Q (m^2/rad^2) depends on the car: its table has 0.001, a car with lag, noise

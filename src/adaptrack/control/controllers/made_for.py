@@ -44,7 +44,7 @@ def mismatches(made_for: Any, model: str, car: str | None, profile: str | None, 
     named = made_for if isinstance(made_for, Mapping) else {}
     expected, found = _model_of(named), []
     if expected not in (None, model):
-        published = "use it with the published MPC (`adaptrack evaluate-schedules`, in Python published_mpc(...))"
+        published = "use it with the published MPC (`adaptrack paper evaluate`, in Python published_mpc(...))"
         remedy = published if expected == INCREMENTAL else "learn it on this one"
         found.append(f"tunes an MPC whose model is {model!r}, not {expected!r}, for which it was made: {remedy}")
     cars = dict.fromkeys(each for each in (car, driven) if each is not None)
@@ -52,7 +52,7 @@ def mismatches(made_for: Any, model: str, car: str | None, profile: str | None, 
         if here is not None and named.get(what) not in (None, here):
             found.append(
                 f"was made for the {what} {named[what]!r}, not {here!r}: leave it out, or make one for it "
-                "(`adaptrack adaptation`)"
+                "(`adaptrack paper adapt`)"
             )
     return found
 

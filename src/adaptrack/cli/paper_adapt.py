@@ -1,0 +1,66 @@
+"""`adaptrack paper adapt`: a campaign, and the schedules that learn on its closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Option
+
+from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.show import Column
+
+if TYPE_CHECKING:
+    from adaptrack.control.scheduling import Schedule
+
+COLUMNS = (
+    Column("contender", "contender"),
+    Column("round", "best\nround", "", "whole"),
+    Column("score", "log cost\nheld out", "", 4),
+    Column("failed", "runs\nfailed", "", "whole"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptOptions:
+    """Options of `adaptrack paper adapt`."""
+
+    campaign: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file of a Sobol sample.")] = (
+        "road-sobol"
+    )
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of campaign and schedules; it can be resumed.")]
+    profile: options.OtherProfile = None
+    workers: options.Workers = None
+    as_json: options.Json = False
+
+
+@options.grouped
+def adapt(given: AdaptOptions) -> None:
+    """Run a campaign and learn its schedules: constants, look-up table, NN and ANFIS.
+
+    Failed runs are part of the result: they are counted, and the exit code is 0.
+    """
+    from adaptrack.paper.adaptation import adapt as learn
+    from adaptrack.paper.campaign_config import load_campaign
+
+    campaign = load_campaign(given.campaign).in_profile(given.profile)
+    options.make_folder(given.out)
+    interrupt.kept(f"Finished parts and schedules are kept in {given.out}: run the command again to go on.")
+    with show.progress("adapt") as advance:
+        schedules = learn(campaign, given.out, workers=given.workers, progress=advance)
+    rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]
+    if given.as_json:
+        show.say_json({"schedulers": str(given.out / "schedulers"), "rows": rows})
+        return
+    show.table("Schedules that learned on the closed loop", COLUMNS, rows)
+    show.say(f"Schedules: {given.out / 'schedulers'}")
+    line = command("paper", "evaluate", given.out, "--campaign", given.campaign, "--profile", given.profile)
+    say_next("to evaluate them on new runs", line)
+
+
+def _best_round(contender: str, schedule: Schedule) -> dict[str, object]:
+    best = min(schedule.provenance["history"], key=lambda entry: entry["score"])
+    return {"contender": contender, **best}

@@ -1,0 +1,138 @@
+"""`adaptrack paper evaluate`: schedules on operating points, drives and tests that they have not learned from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import DRIVES, OPERATING_POINTS, SEED
+from adaptrack.cli import options, show
+from adaptrack.cli.next_step import again, next_line
+
+if TYPE_CHECKING:
+    from adaptrack.control.scheduling import Schedule
+    from adaptrack.paper.learning_task import LearningTask
+    from adaptrack.results.evaluation import Views
+
+DEFAULT_POINTS = 2000
+"""Operating points if nothing else is driven."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions:
+    """Options of `adaptrack paper evaluate`."""
+
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[DIR]", help="Folder of `paper adapt`; by default the shipped schedules.")
+    ] = None
+    scheduler: Annotated[
+        list[str] | None,
+        Option("--scheduler", metavar="NAME", help="A further schedule: name (see `list schedulers`) or .json file."),
+    ] = None
+    operating_points: Annotated[
+        int | None,
+        Option(
+            "--operating-points", metavar="N", callback=options.at_most(OPERATING_POINTS),
+            help=f"New operating points, {OPERATING_POINTS.range}; {DEFAULT_POINTS} if nothing else is driven.",
+        ),
+    ] = None  # fmt: skip
+    drives: Annotated[
+        int | None,
+        Option("--drives", metavar="N", callback=options.at_most(DRIVES), help=f"Drives of 60 s, {DRIVES.range}."),
+    ] = None
+    tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False
+    campaign: Annotated[
+        str, Option("--campaign", metavar="NAME", hidden=True, help="Campaign of the schedules: name or .toml file.")
+    ] = "road-sobol"
+    profile: options.OtherProfile = None
+    known_as: Annotated[
+        list[str] | None,
+        Option(
+            "--known-as", metavar="WAY", hidden=True,
+            help="Knowledge of friction and wind, in addition to exact: noisy, lagged, estimated, withheld, ...",
+        ),
+    ] = None  # fmt: skip
+    seed: Annotated[
+        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Selects operating points and drives.")
+    ] = 7
+    out: options.Page = None
+    as_json: options.Json = False
+
+
+@options.grouped
+def evaluate(given: EvaluateOptions) -> None:
+    """Compare schedules with the best constant, and with the optimum of each operating point.
+
+    Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
+    """
+    from adaptrack.paper.adaptation import read_schedules, shipped_schedules
+    from adaptrack.paper.campaign_config import load_campaign
+    from adaptrack.paper.learning_task import LearningTask
+    from adaptrack.results.evaluation import evaluation_result
+    from adaptrack.results.page import write_result
+    from adaptrack.tuning.runs import perception
+
+    task = LearningTask.of(load_campaign(given.campaign).in_profile(given.profile))
+    schedules = shipped_schedules() if given.folder is None else read_schedules(given.folder)
+    schedules = check_schedules(task, schedules, given.scheduler or [])
+    for way in given.known_as or []:
+        perception(way, task.estimated, task.profile)  # an unknown one is refused before any work
+    if given.out is not None:
+        options.make_folder(given.out)
+    with show.progress("evaluate") as advance:
+        views = _views(given, task, schedules, advance)
+    result = evaluation_result(views, schedules, command=options.command_line())
+    if not views["drives"]:
+        step = next_line("to evaluate them on long drives", again("--drives", 200))
+        result = replace(result, next_step=step)
+    page = None
+    if given.out is not None:
+        with show.progress("write the page"):
+            page = write_result(given.out, result)
+    show.say_result(result, given.as_json, page)
+
+
+def _views(given: EvaluateOptions, task: LearningTask, schedules: dict[str, Schedule], progress: Any) -> Views:
+    from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
+
+    points, drives = given.operating_points, given.drives
+    if points is None and drives is None and not given.tests:
+        points = DEFAULT_POINTS
+    ways = tuple(dict.fromkeys(["exact", *(given.known_as or [])]))
+    more: dict[str, Any] = {"known_as": ways, "progress": progress}
+    return {
+        "operating points": evaluate_on_operating_points(task, schedules, points, given.seed, **more) if points else {},
+        "drives": evaluate_on_drives(task, schedules, drives, given.seed, **more) if drives else {},
+        "tests": evaluate_on_tests(task, schedules) if given.tests else {},
+    }
+
+
+def check_schedules(task: LearningTask, schedules: dict[str, Schedule], names: Sequence[str]) -> dict[str, Schedule]:
+    """The schedules with further ones by name or file, all of which must be made for the task.
+
+    Raises
+    ------
+    InvalidInput
+        When one of them was made for another controller, car or profile, or two have the same name.
+    """
+    from adaptrack.control.scheduling import check_scheduler, load_scheduler
+    from adaptrack.scenario.profile import load_profile
+
+    profile, checked = load_profile(task.profile).name, dict(schedules)
+    for name in names:
+        schedule = load_scheduler(name)
+        check_scheduler(schedule)
+        if schedule.name in (*checked, "optimum"):
+            raise InvalidInput(f"--scheduler {name}: a contender has this name already: rename the file.")
+        checked[schedule.name] = schedule
+    for name, schedule in checked.items():
+        faults = task.mpc.mismatches(schedule, profile)
+        if faults:
+            raise InvalidInput(f"schedule {name!r} {'; it '.join(faults)}.")
+    return checked

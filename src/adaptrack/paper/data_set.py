@@ -1,0 +1,300 @@
+"""Data sets of tuned operating points: the record, its Parquet file, and those that ship with the package."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.checked import checked
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.files import (
+    SHIPPED,
+    Damaged,
+    ParquetColumn,
+    decode_parquet,
+    encode_parquet,
+    read_bytes,
+    safe_name,
+    write_atomically,
+)
+from adaptrack.base.shown import figure_of, html_of
+from adaptrack.paper import operating_points as points
+from adaptrack.paper.operating_points import NAMES, check_operating_points, fold
+
+Array = NDArray[Any]
+
+DATA_SET_FORMAT = "adaptrack data set"
+FORMAT_VERSION = 1
+"""Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
+
+_DATA = SHIPPED / "datasets"
+_TUNING = ("Np", "Nc", "Q", "R")
+_WHOLE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
+
+
+class TunedColumn(NamedTuple):
+    """A column of the file of a data set."""
+
+    name: str
+    unit: str
+    dtype: str
+    meaning: str
+    ndim: int = 1
+    """2: a list of numbers in each row, equally long in all"""
+
+
+DATA_SET_COLUMNS = (
+    TunedColumn(
+        "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
+    ),
+    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.COLUMNS),
+    TunedColumn("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
+    TunedColumn("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
+    TunedColumn("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
+    TunedColumn("R", "1/rad^2", "float64", "weight of the moves of the best tuning found"),
+    TunedColumn("r_over_q", "m^2/rad^2", "float64", "R/Q, the only part of the two that changes the control law"),
+    TunedColumn("cost", "m^2", "float64", "cost of the best tuning found; inf when the run failed with every one"),
+    TunedColumn("standard_cost", "m^2", "float64", "cost of the paper's tuning, 35/8/10/0.01"),
+    TunedColumn("evaluations", "-", "int64", "tunings that the swarm evaluated"),
+    TunedColumn("control_steps", "-", "int64", "control periods that the swarm simulated"),
+    TunedColumn("seed", "-", "int64", "of the swarm"),
+    TunedColumn("mirrored_from", "-", "int64", "stream of the left-right twin that was computed instead; -1: none"),
+    TunedColumn("trace", "m^2", "float32", "lowest cost up to and including each generation", 2),
+    TunedColumn("landscape", "m^2", "float32", "cost of each tuning of the common library", 2),
+)
+"""The columns of a data set, in the order of its file."""
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """n tuned operating points: the best tuning that a swarm found at each, and what a library of T tunings costs.
+
+    Costs are J = mean e^2 + w mean (change of command)^2 in m^2, over one run of the profile and scenario that the
+    provenance names; inf where the run failed. Arrays are read-only, float64 unless said otherwise.
+
+    Raises
+    ------
+    InvalidInput
+        When arrays do not fit together or an operating point makes no sense.
+    """
+
+    ROW_FIELDS: ClassVar[tuple[str, ...]] = (
+        "operating_points", "tunings", "costs", "standard_costs", "traces", "landscape", *_WHOLE,
+    )  # fmt: skip
+    """The arrays with one row per operating point."""
+
+    operating_points: Array
+    """(n, 4) speed (m/s), y_ref (m), friction, wind (m/s)"""
+    tunings: Array
+    """(n, 4) Np, Nc (control periods), Q (1/m^2), R (1/rad^2) of the best tuning found"""
+    costs: Array
+    """(n,) its cost"""
+    standard_costs: Array
+    """(n,) cost of the paper's tuning, 35/8/10/0.01"""
+    traces: Array
+    """(n, generations) float32, lowest cost up to and including each generation of the swarm"""
+    landscape: Array
+    """(n, T) float32, cost of each tuning of the library"""
+    library: Array
+    """(T, 4) Np, Nc, Q, R"""
+    evaluations: Array
+    """(n,) int64, tunings that the swarm evaluated"""
+    control_steps: Array
+    """(n,) int64, control periods that it simulated"""
+    stream: Array
+    """(n,) int64, number of the operating point in its campaign"""
+    mirrored_from: Array
+    """(n,) int64, number of the left-right twin that was computed instead, or -1"""
+    seed: Array
+    """(n,) int64, of the swarm"""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """name, settings, identity (their SHA-256), versions of the software"""
+
+    def __post_init__(self) -> None:
+        rows = check_operating_points(self.operating_points)
+        n, library = len(rows), np.asarray(self.library, dtype=np.float64)
+        if library.ndim != 2 or library.shape[1] != 4:
+            raise InvalidInput(f"data set: `library` must have the shape (T, 4), it has {library.shape}.")
+        object.__setattr__(self, "library", _read_only(library))
+        shapes: dict[str, tuple[int | None, ...]] = {
+            **dict.fromkeys(self.ROW_FIELDS, (n,)), "operating_points": (n, 4), "tunings": (n, 4), "traces": (n, None),
+            "landscape": (n, len(library)),
+        }  # fmt: skip
+        dtypes = dict.fromkeys(_WHOLE, "int64") | dict.fromkeys(("traces", "landscape"), "float32")
+        for name, shape in shapes.items():
+            values = rows if name == "operating_points" else getattr(self, name)
+            array = np.ascontiguousarray(values, dtype=dtypes.get(name, "float64"))
+            if len(shape) != array.ndim or any(a not in (b, None) for a, b in zip(shape, array.shape, strict=True)):
+                raise InvalidInput(f"data set: `{name}` must have the shape {shape}, it has {array.shape}.")
+            object.__setattr__(self, name, _read_only(array))
+
+    def __len__(self) -> int:
+        """The number n of operating points."""
+        return len(self.operating_points)
+
+    def __repr__(self) -> str:
+        return f"<DataSet {self.name!r}: {len(self)} operating points, library of {len(self.library)} tunings>"
+
+    def plot(self) -> Any:
+        """How often each tuning is the best, and what tuning is worth over the speed, as a matplotlib figure."""
+        return figure_of(self)
+
+    def _repr_html_(self) -> str:
+        """The data set in a notebook."""
+        return html_of(self)
+
+    @property
+    def name(self) -> str:
+        """What its campaign was called."""
+        return str(self.provenance.get("name", "unnamed"))
+
+    @property
+    def command(self) -> str:
+        """The command that makes it again (with the campaign's own file, unless that ships with the package)."""
+        name = safe_name(self.name)
+        ships = (SHIPPED / "campaigns" / f"{name}.toml").exists()
+        return shlex.join(["adaptrack", "paper", "campaign", name if ships else f"{name}.toml", "--out", name])
+
+    @property
+    def ratios(self) -> Array:
+        """(n,) R/Q of the best tuning found, m^2/rad^2: the only part of the two that changes the control law."""
+        return self.tunings[:, 3] / self.tunings[:, 2]
+
+    @property
+    def best_costs(self) -> Array:
+        """(n,) the lowest cost known at each operating point: the swarm's or a tuning's of the library."""
+        return np.minimum(self.costs, self.landscape.min(axis=1, initial=np.inf).astype(np.float64))
+
+    @property
+    def computed(self) -> NDArray[np.bool_]:
+        """(n,) whether a swarm searched this very operating point, rather than its left-right twin."""
+        return self.mirrored_from < 0
+
+    @property
+    def comparable(self) -> NDArray[np.bool_]:
+        """(n,) whether standard tuning and swarm's best have costs whose ratio is finite and positive."""
+        standard, best = self.standard_costs, self.costs
+        return np.isfinite(standard) & (standard > 0.0) & np.isfinite(best) & (best > 0.0)
+
+    def rows(self, which: ArrayLike) -> Self:
+        """A part of it: row numbers, or a truth value for each row."""
+        chosen = np.arange(len(self))[np.asarray(which)]
+        return replace(self, **{name: getattr(self, name)[chosen] for name in self.ROW_FIELDS})
+
+    def split(self, fraction: float = 0.2, seed: int = 0) -> tuple[Self, Self]:
+        """(to learn from, held out): a random share is held out, left-right twins always on the same side.
+
+        The same data set, fraction and seed give the same parts.
+
+        Raises
+        ------
+        InvalidInput
+            When one part would be empty.
+        """
+        family = fold(self.operating_points).family
+        families = int(family.max()) + 1
+        out = round(fraction * families) if 0.0 < fraction < 1.0 else 0
+        if not 0 < out < families:
+            raise InvalidInput(
+                f"fraction = {fraction!r}: holds {out} of {families} independent operating points out; need at "
+                "least one, and one left to learn from."
+            )
+        held = np.isin(family, np.random.default_rng(seed).permutation(families)[:out])
+        return self.rows(~held), self.rows(held)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it as one Parquet file, which appears whole or not at all.
+
+        Raises
+        ------
+        StorageError
+            When that fails; an older file at `path` is then untouched.
+        """
+        values = dict(zip(NAMES, self.operating_points.T, strict=True))
+        values |= dict(zip(_TUNING, self.tunings.T, strict=True)) | {name: getattr(self, name) for name in _WHOLE}
+        values |= {"r_over_q": self.ratios, "cost": self.costs, "standard_cost": self.standard_costs}
+        values |= {"trace": self.traces, "landscape": self.landscape}
+        columns = [
+            ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
+            for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
+        ]
+        about = {**self.provenance, "library": self.library.tolist()}
+        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, about), through_links=False)
+
+    @classmethod
+    @checked
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read what `save` or a campaign wrote, bit for bit.
+
+        Raises
+        ------
+        StorageError
+            When the file is missing, damaged, no data set, or of another format version; the message says which.
+        """
+        remedy = "run its campaign again, or use the release that wrote it"
+        names = [column.name for column in DATA_SET_COLUMNS]
+        columns, about = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, FORMAT_VERSION, remedy, names)
+        try:
+            for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
+                if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:
+                    raise ValueError(f"column {name!r} holds {columns[name].dtype}, not {dtype}")
+            library = np.array(about.pop("library"), dtype=np.float64)
+            return cls(
+                operating_points=np.column_stack([columns[name] for name in NAMES]),
+                tunings=np.column_stack([columns[name] for name in _TUNING]),
+                costs=columns["cost"],
+                standard_costs=columns["standard_cost"],
+                traces=columns["trace"],
+                landscape=columns["landscape"],
+                library=library,
+                provenance=about,
+                **{name: columns[name] for name in _WHOLE},
+            )
+        except (AttributeError, KeyError, ValueError, TypeError, OverflowError) as error:
+            raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
+
+
+def _read_only(array: Array) -> Array:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def list_datasets() -> list[str]:
+    """The names of the data sets that ship with the package."""
+    return sorted(path.stem for path in _DATA.glob("*.parquet"))
+
+
+@checked
+def load_dataset(name_or_path: str | os.PathLike[str]) -> DataSet:
+    """A data set by name, from its file, or from the folder of a finished campaign.
+
+    Raises
+    ------
+    UnknownName
+        When none has this name.
+    StorageError
+        When the file cannot be read, is damaged, no data set or of another format version, or when the folder holds no
+        finished campaign.
+    """
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and name_or_path in list_datasets():
+        return DataSet.load(_DATA / f"{name_or_path}.parquet")
+    if os.path.isdir(path):
+        if not (path / "dataset.parquet").exists():
+            raise StorageError(
+                f"{path}: holds no dataset.parquet; if its campaign is not finished, run the campaign again."
+            )
+        return DataSet.load(path / "dataset.parquet")
+    if not (isinstance(name_or_path, os.PathLike) or path.suffix or path.name != str(name_or_path)):
+        raise UnknownName(
+            f"no data set is named {name_or_path!r}. {did_you_mean(str(name_or_path), list_datasets())} "
+            "A file of your own is given by its path."
+        )
+    return DataSet.load(path)

@@ -1,0 +1,177 @@
+"""Evaluation of schedules on operating points, drives and the paper's tests that no schedule has learned from.
+
+Regret is the cost of a run over the cost of the reference on the same run: the optimum of an operating point, on drives
+the best constant.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import Plant, SteppedPlant
+from adaptrack.comparison.compare import compare
+from adaptrack.comparison.contenders import Contender
+from adaptrack.comparison.table import Comparison
+from adaptrack.control.scheduling import Schedule
+from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.paper.adaptation import ANYWHERE
+from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
+from adaptrack.paper.operating_points import sobol
+from adaptrack.tuning.objective import Objective
+from adaptrack.tuning.runs import operating_point_runs, paper_test_runs, perception, random_drive_runs
+
+Array = NDArray[np.float64]
+Schedules = Mapping[str, Schedule]
+"""By contender, see `adaptation.CONTENDERS`; schedules of other origin by a name of their own."""
+Progress = Callable[[str, int, int], None]
+
+CONSTANT, DRIVE_CONSTANT, OPTIMUM = "best constant", "best constant on drives", "optimum"
+PERCEIVING = (CONSTANT, "nn", "anfis", OPTIMUM)
+"""Contenders that are repeated where friction and wind are not known exactly, with those they are compared with."""
+
+SEED = 7
+"""Default of the evaluations: it selects the operating points and drives."""
+FIRST_POINTS, FIRST_DRIVE, DRIVE_BLOCK = 10_000, 3_000_000, 10_000
+"""Sobol seed and number of the first drive of the evaluation with seed 0, and drives for each seed."""
+DURATION = 60.0
+"""s, of a drive"""
+NOISE = tuple(range(900_001, 900_009))
+"""Noise seeds of every evaluation; drives take the first."""
+SEARCH_NOISE = ((800_001, 800_002, 800_003), (800_004, 800_005, 800_006), (800_007, 800_008, 800_009))
+"""Noise seeds of each swarm that searches for the optimum: three times the effort of a campaign."""
+CHOICE_NOISE = tuple(range(810_001, 810_009))
+"""Noise seeds that choose the best of what the swarms found, so that none of them is favoured by its own noise."""
+
+
+def evaluate_on_operating_points(
+    task: LearningTask, schedules: Schedules, count: int, seed: int = SEED, *, known_as: Sequence[str] = ("exact",),
+    progress: Progress | None = None,
+) -> dict[str, Comparison]:  # fmt: skip
+    """On `count` Sobol points of the campaign's box, for each way of knowing friction and wind (see `perception`).
+
+    The reference is the optimum of each point, on a plant that takes long the best constant.
+
+    Raises
+    ------
+    InvalidInput
+        When the points of this seed were learned from, or a way of knowing is unknown.
+    """
+    points = evaluation_points(task, count, seed)
+    contenders = [Contender(name, schedules[name]) for name in schedules if name not in (DRIVE_CONSTANT, "fallback")]
+    if "look-up" in schedules:  # it is made from operating points, so its inputs are the point, not the signals
+        contenders = [
+            Contender(each.name, schedules["look-up"].batch(points)) if each.name == "look-up" else each
+            for each in contenders
+        ]
+    reference, plant = CONSTANT, task.driven
+    if not isinstance(plant, SteppedPlant) and not plant.costly:
+        constants = np.array([schedules[name](ANYWHERE) for name in (CONSTANT, "fallback")])
+        tunings = find_optimum(task, plant, points, seed, constants, progress)
+        contenders.append(Contender(OPTIMUM, tunings, hindsight=True))
+        reference = OPTIMUM
+    comparisons = {}
+    for name in known_as:
+        knowledge = perception(name, task.estimated, task.profile)
+        runs = operating_point_runs(plant, task.mpc, points, task.profile, known_as=knowledge, failure=FAILURE)
+        comparisons[name] = compare(runs, _driven(contenders, name), NOISE, reference, points, progress)
+    return comparisons
+
+
+def evaluate_on_drives(
+    task: LearningTask, schedules: Schedules, count: int, seed: int = SEED, *, known_as: Sequence[str] = ("exact",),
+    progress: Progress | None = None,
+) -> dict[str, Comparison]:  # fmt: skip
+    """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
+    numbers = evaluation_drives(count, seed)
+    roads = task.plan.setup.vehicle.domain.drive_options
+    contenders = _moving_contenders(schedules)
+    comparisons = {}
+    for name in known_as:
+        runs = random_drive_runs(
+            task.driven, task.mpc, numbers, DURATION, task.profile, roads=roads, segment_seconds=SEGMENT,
+            known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
+        )  # fmt: skip
+        where = np.array(numbers, dtype=float)[:, None]
+        comparisons[name] = compare(runs, _driven(contenders, name), NOISE[:1], CONSTANT, where, progress)
+    return comparisons
+
+
+def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Comparison]:
+    """On the paper's two tests, in the campaign's profile; the reference is the best constant."""
+    comparisons = {}
+    for name in PUBLISHED:
+        runs = paper_test_runs(task.driven, task.mpc, name, task.profile, failure=FAILURE)
+        comparisons[name] = compare(runs, _moving_contenders(schedules), NOISE, CONSTANT, np.zeros((1, 1)))
+    return comparisons
+
+
+def evaluation_points(task: LearningTask, count: int, seed: int) -> Array:
+    """(count, 4) the operating points of an evaluation.
+
+    Raises
+    ------
+    InvalidInput
+        When something was tuned on them or learned from them.
+    """
+    first = FIRST_POINTS + seed
+    if first in (getattr(task.plan.config.operating_points, "seed", None), TRAINING_POINTS, HELD_OUT_POINTS):
+        raise InvalidInput(f"seed = {seed}: these operating points were learned from: choose another seed.")
+    return sobol(count, task.box, seed=first)
+
+
+def evaluation_drives(count: int, seed: int) -> range:
+    """The numbers of the drives of an evaluation."""
+    first = FIRST_DRIVE + DRIVE_BLOCK * seed
+    return range(first, first + count)
+
+
+def _moving_contenders(schedules: Schedules) -> list[Contender]:
+    """The contenders on drives and tests: the best constant is the one that was tuned on drives."""
+    names = [name for name in schedules if name not in (CONSTANT, DRIVE_CONSTANT, "fallback")]
+    return [
+        Contender(CONSTANT, schedules[DRIVE_CONSTANT]), *(Contender(name, schedules[name]) for name in names)
+    ]  # fmt: skip
+
+
+def _driven(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
+    """All contenders where friction and wind are known exactly, otherwise `PERCEIVING`."""
+    return [each for each in contenders if known_as == "exact" or each.name in PERCEIVING]
+
+
+def find_optimum(
+    task: LearningTask, plant: Plant, points: Array, seed: int, constants: Array, progress: Progress | None = None
+) -> Array:
+    """(n, 4) the best tuning of each operating point (n, 4).
+
+    A swarm for each of `SEARCH_NOISE`; of its results and the constants (k, 4) the best on `CHOICE_NOISE`.
+    """
+    config = task.plan.config
+    searches = [_objective(task, plant, noise) for noise in SEARCH_NOISE]
+    judge, space = _objective(task, plant, CHOICE_NOISE), config.search.space()
+
+    def best_tuning(i: int) -> Array:
+        swarms = [
+            search.tune(points[i], config.swarm, seed=seed + s, stream=i, space=space).tuning
+            for s, search in enumerate(searches)
+        ]
+        candidates = np.vstack([*swarms, constants])
+        return np.asarray(candidates[np.argmin(judge.costs(points[i], candidates))])
+
+    rows = []
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for i, row in enumerate(pool.map(best_tuning, range(len(points)))):
+            rows.append(row)
+            if progress is not None and i % 16 == 0:
+                progress(OPTIMUM, i, len(points))
+    return np.array(rows)
+
+
+def _objective(task: LearningTask, plant: Plant, noise: tuple[int, ...]) -> Objective:
+    """The cost of a tuning on an operating point; a run fails by the rule of the evaluation."""
+    return Objective(plant, task.mpc, "lane-change", task.profile, noise, failure=FAILURE)

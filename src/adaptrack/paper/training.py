@@ -1,0 +1,211 @@
+"""From a data set of tuned operating points to models of the tuning: the paper's section IV, with a hold-out.
+
+One model for each slot of the tuning, each of the four numbers of an operating point. What is held out trains nothing
+and chooses nothing; an operating point and its left-right twin are always on the same side.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from adaptrack.base.checked import checked
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.progress import tells
+from adaptrack.control.scheduling.functions.network import Network
+from adaptrack.control.scheduling.functions.sugeno import Sugeno
+from adaptrack.paper.anfis import ANFIS
+from adaptrack.paper.data_set import DataSet
+from adaptrack.paper.mlp import MLP
+from adaptrack.paper.operating_points import NAMES, canonical, fold
+
+Array = NDArray[np.float64]
+
+MODELS: dict[str, type[MLP] | type[ANFIS]] = {"nn": MLP, "anfis": ANFIS}
+
+TREES = 150
+"""Boosted trees at most, see `ceiling`."""
+
+TARGETS = {"paper": ("Np", "Nc", "Q", "R"), "ratio": ("Np", "Nc", "log10_ratio")}
+"""The slots that are learned: of "paper" each number of the tuning as it is. Only R/Q changes the control law, so that
+"ratio" learns its decimal logarithm instead of both."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A model for each slot of the tuning, and how good they are."""
+
+    model: str
+    """"nn" or "anfis\""""
+    targets: str
+    """"paper" or "ratio", see `TARGETS`"""
+    inputs: tuple[str, ...]
+    """the D columns of an operating point that the models see, in this order"""
+    estimators: Mapping[str, MLP | ANFIS]
+    """fitted, by slot"""
+    domain: Array
+    """(D, 2) lowest and highest value of each input in the rows trained on"""
+    quality: list[dict[str, Any]]
+    """A row per slot: slot, model; r2 and rmse on the hold-out; ceiling_r2 and ceiling_rmse there, see `train`;
+    n_train, n_holdout; seconds that the training took; parameters; rules (of a fuzzy system); dead_share (of the rows,
+    those at which a network's output is dead)"""
+    provenance: dict[str, Any]
+    """data set and its identity, hold-out, seed, options of the models"""
+
+    @property
+    def histories(self) -> dict[str, dict[str, Array]]:
+        """The learning curves of each slot, see `MLP` and `ANFIS`."""
+        return {slot: made.history_ for slot, made in self.estimators.items()}
+
+    @property
+    def functions(self) -> dict[str, Network | Sugeno]:
+        """What runs, by slot."""
+        return {slot: _size_and_function(made)[1] for slot, made in self.estimators.items()}
+
+    def network(self, slot: str) -> Network:
+        """The network that runs for this slot.
+
+        Raises
+        ------
+        UnknownName
+            When nothing of this name was learned.
+        InvalidInput
+            When the models are no networks.
+        """
+        made = self._estimator(slot)
+        if not isinstance(made, MLP):
+            raise InvalidInput(f"network({slot!r}): these models are fuzzy systems: use system({slot!r}).")
+        return made.network_
+
+    def system(self, slot: str) -> Sugeno:
+        """The fuzzy system that runs for this slot; raises like `network`."""
+        made = self._estimator(slot)
+        if not isinstance(made, ANFIS):
+            raise InvalidInput(f"system({slot!r}): these models are networks: use network({slot!r}).")
+        return made.system_
+
+    def _estimator(self, slot: str) -> MLP | ANFIS:
+        if slot not in self.estimators:
+            raise UnknownName(f"no slot is named {slot!r}. {did_you_mean(slot, self.estimators)}")
+        return self.estimators[slot]
+
+
+@tells("train")
+@checked
+def train(
+    dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None, **options: Any,
+) -> Trained:  # fmt: skip
+    """Learn the best tuning of each operating point from a data set, one model per slot.
+
+    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the operating
+    points that is held out; seed: of the hold-out and of the models; progress: called with (what is learned, steps
+    done, steps), two steps a slot; options: parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Operating
+    points where the run failed with every tuning teach nothing and are left out.
+
+    The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
+    operating point from its left side, and never the row that it predicts (5-fold cross-validation).
+
+    Raises
+    ------
+    InvalidInput
+        For an unknown model, target or option, an option that is not allowed, or too few points for a hold-out.
+    """
+    for what, given, known in (("model", model, MODELS), ("targets", targets, TARGETS)):
+        if given not in known:
+            raise InvalidInput(f"train: {what} = {given!r}: must be one of {tuple(known)}.")
+    parameters = MODELS[model]().get_params()
+    for name in options.keys() - parameters.keys():
+        raise InvalidInput(f"train: {MODELS[model].__name__} has no option {name!r}. {did_you_mean(name, parameters)}")
+    options = {"random_state": seed, **options}
+
+    learned, held = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
+    estimators: dict[str, MLP | ANFIS] = {}
+    quality = []
+    for number, slot in enumerate(TARGETS[targets]):
+        if progress is not None:
+            progress(slot, 2 * number, 2 * len(TARGETS[targets]))
+        y, y_held = target(learned, slot), target(held, slot)
+        start = time.perf_counter()
+        with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
+            estimators[slot] = MODELS[model](**options).fit(learned.operating_points, y)
+        seconds = time.perf_counter() - start
+        r2, rmse = score(y_held, estimators[slot].predict(held.operating_points))
+        if progress is not None:
+            progress(f"{slot} by trees", 2 * number + 1, 2 * len(TARGETS[targets]))
+        best_r2, best_rmse = score(y_held, ceiling(learned.operating_points, y, held.operating_points, y_held, seed))
+        quality.append({
+            "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
+            "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds, **_size_and_function(estimators[slot])[0],
+        })  # fmt: skip
+    return Trained(
+        model=model,
+        targets=targets,
+        inputs=NAMES,
+        estimators=estimators,
+        domain=np.column_stack((learned.operating_points.min(axis=0), learned.operating_points.max(axis=0))),
+        quality=quality,
+        provenance={
+            "dataset": dataset.name,
+            "identity": dataset.provenance.get("identity"),
+            "holdout": holdout,
+            "seed": seed,
+            "options": options,
+        },
+    )
+
+
+def _size_and_function(made: MLP | ANFIS) -> tuple[dict[str, Any], Network | Sugeno]:
+    if isinstance(made, MLP):
+        network = made.network_
+        return {"parameters": network.n_parameters, "rules": None, "dead_share": float(made.dead_share_)}, network
+    return {"parameters": made.n_parameters_, "rules": made.n_rules_, "dead_share": None}, made.system_
+
+
+def target(dataset: DataSet, slot: str) -> Array:
+    """(n,) what a slot should be on each operating point, see `TARGETS`."""
+    if slot == "log10_ratio":
+        return np.log10(dataset.ratios)
+    return dataset.tunings[:, TARGETS["paper"].index(slot)]
+
+
+def score(y: Array, predicted: Array) -> tuple[float, float]:
+    """R^2 and the root of the mean squared error; R^2 is 0 for a y (n,) that is constant."""
+    squares, spread = float(((y - predicted) ** 2).sum()), float(((y - y.mean()) ** 2).sum())
+    return 1.0 - squares / spread if spread > 0.0 else 0.0, (squares / len(y)) ** 0.5
+
+
+def ceiling(x: Array, y: Array, x_held: Array, y_held: Array, seed: int) -> Array:
+    """(m,) predictions of boosted trees at the held-out operating points x_held (m, 4), see `train`."""
+    points = np.vstack((x, x_held))
+    families = fold(points)  # one row of each family: a twin would tell the trees the value to predict
+    first = families.representatives
+    predictions = _boosted_trees(canonical(points[first]), np.concatenate((y, y_held))[first], seed)
+    return predictions[families.family[len(x) :]]
+
+
+def _boosted_trees(x: Array, y: Array, seed: int, folds: int = 5) -> Array:
+    """(n,) cross-validated predictions of y (n,) from x (n, features), by gradient-boosted trees.
+
+    The number of trees is the best one over all folds.
+
+    Source: J. H. Friedman, *Greedy function approximation: a gradient boosting machine*, Ann. Stat. 29 (2001).
+    """
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    fold_numbers = np.random.default_rng(seed).permutation(np.arange(len(y)) % folds)
+    stages = np.empty((TREES + 1, len(y)))
+    with threadpool_limits(1):  # the order of the sums depends on the number of threads
+        for number in range(folds):
+            test = fold_numbers == number
+            stages[0, test] = y[~test].mean()
+            trees = HistGradientBoostingRegressor(max_iter=TREES, max_leaf_nodes=16, early_stopping=False)
+            trees.fit(x[~test], y[~test])
+            stages[1:, test] = list(trees.staged_predict(x[test]))
+    return stages[int(np.argmin(((stages - y) ** 2).sum(axis=1)))]

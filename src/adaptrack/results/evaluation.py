@@ -1,0 +1,213 @@
+"""The result of an evaluation of schedules: their costs on operating points, drives and the paper's tests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.result import Axis, Column, HeatMap, Panel, Picture, Result, ResultTable, Row, Scale, where
+from adaptrack.base.statistics import binned_geometric_mean
+from adaptrack.comparison.table import Comparison, finite
+from adaptrack.control.scheduling import Schedule, SchedulingVariables
+from adaptrack.paper.evaluation import CONSTANT, OPTIMUM
+from adaptrack.results.comparison_pictures import ratios_picture
+from adaptrack.results.words import INPUTS, counted, data_text, number, plain, span, title_of
+
+Array = NDArray[np.float64]
+Views = Mapping[str, Mapping[str, Comparison]]
+"""Comparisons on "operating points" and "drives" by the knowledge of friction and wind ("exact", "noisy", ...), and on
+"tests" by the test."""
+
+NAMES = {
+    "nn": "NN-MPC", "anfis": "ANFIS-MPC", CONSTANT: "Best constant", "look-up": "Look-up table",
+    OPTIMUM: "Optimum per operating point",
+}  # fmt: skip
+NOUNS = {"operating points": "operating point", "drives": "drive", "tests": "run"}
+COLUMNS = (
+    Column("label", "Contender"),
+    Column("cost_geomean", "Cost", "m²", 3),
+    Column("regret_geomean", "Regret", "", 4),
+    Column("interval", "95 %\ninterval", "", 3),
+    Column("regret_p90", "P90", "", 3),
+    Column("regret_worst", "Worst", "", 3),
+    Column("failures", "Runs\nfailed"),
+    Column("fallback", "Fallback", "% of steps", "percent"),
+)
+MAPPED = (CONSTANT, "look-up", "nn", "anfis")
+"""Contenders with a map of their regret."""
+CEILING = 10.0
+"""Higher regrets share a colour."""
+CELL_POINTS, MIN_CELLS, MAX_CELLS = 6, 4, 12
+"""Operating points that a cell of a map holds on average, and the number of cells along an axis."""
+NODES = (64, 44)
+"""Of a learned surface, along its axes."""
+OUTPUTS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
+
+
+def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, command: str = "") -> Result:
+    """An evaluation of schedules as a result; its record holds one row for each contender in each view.
+
+    schedules: by contender; the networks and fuzzy systems are drawn.
+    """
+    view = next(name for name in ("drives", "operating points", "tests") if views.get(name))
+    comparison = next(iter(views[view].values()))
+    points = views.get("operating points", {}).get("exact")
+    learned = {name: replace(schedules[name], guard=None) for name in ("nn", "anfis") if name in schedules}
+    maps = [] if points is None or len(points.where) < CELL_POINTS * MIN_CELLS**2 else [regret_maps(points)]
+    return Result(
+        kind="evaluation",
+        title="Evaluation of schedules",
+        answer=headline(comparison, NOUNS[view]),
+        record={"rows": view_rows(views)},
+        tables=[_table(name, comparisons) for name, comparisons in views.items() if comparisons],
+        pictures=[ratios_picture(comparison, label_of), *maps, *([surfaces_picture(learned)] if learned else [])],
+        values={
+            "runs": counted(_runs(comparison), NOUNS[view]), "reference": label_of(comparison.reference),
+            "views": [name for name in views if views[name]], "failed_cost": number(comparison.failure.distance**2),
+        },
+        command=command,
+    )  # fmt: skip
+
+
+def headline(comparison: Comparison, noun: str) -> str:
+    """The cost of the best schedule over that of the best constant."""
+    runs = counted(_runs(comparison), noun)
+    best = min(comparison.adaptive, key=lambda name: comparison.mean_ratio(name, CONSTANT), default=CONSTANT)
+    ratio = comparison.ratio(best, CONSTANT)
+    return (
+        f"{label_of(best)}: {number(ratio.mean)} times the cost of the best constant on {runs} "
+        f"(95 % interval {number(ratio.low)} to {number(ratio.high)})."
+    )
+
+
+def label_of(contender: str) -> str:
+    """The label of a contender in tables and pictures."""
+    return NAMES.get(contender, contender)
+
+
+def _runs(comparison: Comparison) -> int:
+    return len(comparison.table(comparison.reference))
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+def view_rows(views: Views) -> list[dict[str, Any]]:
+    """One row for each contender in each view; constant_...: its cost over that of the best constant."""
+    return [
+        {"view": view, "scenario" if view == "tests" else "known_as": name, "reference": comparison.reference, **row}
+        for view, comparisons in views.items()
+        for name, comparison in comparisons.items()
+        for row in finite([row | _over_constant(comparison, row["contender"]) for row in comparison.rows()])
+    ]
+
+
+def _over_constant(comparison: Comparison, contender: str) -> dict[str, float]:
+    ratio = comparison.ratio(contender, CONSTANT)
+    return {"constant_geomean": ratio.mean, "constant_low": ratio.low, "constant_high": ratio.high}
+
+
+def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
+    """The contenders of a view, in groups by the knowledge of friction and wind or by test."""
+    rows: list[dict[str, Any]] = []
+    best: set[tuple[int, str]] = set()
+    for name, comparison in comparisons.items():
+        group = [_row(comparison, row, name) for row in comparison.rows()]
+        best |= {(len(rows) + i, column) for i, column in lowest(group, ("cost_geomean", "regret_geomean"))}
+        rows += group
+    columns = [column for column in COLUMNS if any(row[column.name] is not None for row in rows)]
+    several = "group" if len(comparisons) > 1 else ""
+    first = next(iter(comparisons.values()))
+    title = f"{title_of(view)}: {counted(_runs(first), NOUNS[view])}, regret to {label_of(first.reference).lower()}"
+    failed = where(rows, ["failures"], lambda row: row["failures"] > 0)
+    return ResultTable(view, title, columns, rows, "", several, frozenset(best), failed, brief=True)
+
+
+def _row(comparison: Comparison, row: Row, group: str) -> dict[str, Any]:
+    contender = row["contender"]
+    interval = None if contender == comparison.reference else (row["regret_low"], row["regret_high"])
+    return {
+        **row, "label": label_of(contender), "group": title_of(group), "interval": interval,
+        "hindsight": comparison.role(contender).hindsight, "fallback": row.get("fallback"),
+    }  # fmt: skip
+
+
+def lowest(rows: Sequence[Row], columns: Sequence[str]) -> set[tuple[int, str]]:
+    """(row, column) of the lowest number in each column, without contenders that need hindsight."""
+    candidates = [i for i, row in enumerate(rows) if not row["hindsight"]]
+    return {(min(candidates, key=lambda i: rows[i][name]), name) for name in columns if len(candidates) > 1}
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def regret_maps(comparison: Comparison) -> Picture:
+    """The regret of the main contenders over speed and friction, and over speed and the lateral reference."""
+    speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
+    axes = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
+    contenders = [name for name in MAPPED if name in comparison.contenders and name != comparison.reference]
+    cells = int(np.clip(math.sqrt(len(speed) / CELL_POINTS), MIN_CELLS, MAX_CELLS))
+    maps = {
+        (name, axis): binned_geometric_mean(comparison.regret(name), speed, y, cells)
+        for name in contenders
+        for axis, (y, _) in axes.items()
+    }
+    means = np.concatenate([values.ravel() for _, _, values in maps.values()])
+    low, high = min(1.0, float(np.nanmin(means))), float(np.nanmax(means))
+    beyond = "max" if high > CEILING else "neither"
+    scale = Scale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
+    panels = [
+        Panel(
+            data_text(label_of(name)), Axis("Speed (m/s)"), Axis(axes[axis][1]), [HeatMap(x, y, values, scale)],
+            f"Geometric mean regret over speed and {axis}: {span(values)}.",
+        )
+        for (name, axis), (x, y, values) in maps.items()
+    ]  # fmt: skip
+    caption = (
+        "Regret over the domain: geometric mean of the operating points in a cell. All maps share one logarithmic "
+        f"scale of colours, which ends at {CEILING:g}."
+    )
+    return Picture("maps", caption, panels, file="regret-map.png", row_height=1.75)
+
+
+def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
+    """The tuning of schedules without guard over speed and their second input."""
+    surfaces = {name: _surface(schedule) for name, schedule in schedules.items()}
+    panels = []
+    for k, (symbol, unit) in enumerate(OUTPUTS):
+        scale = shared_scale([surface[..., k] for surface in surfaces.values()], whole=k < 2)
+        for name, schedule in schedules.items():
+            label, input_unit = INPUTS[schedule.inputs[1]]
+            values = surfaces[name][..., k]
+            heat = HeatMap(schedule.domain[0], schedule.domain[1], values, scale, image=True)
+            panels.append(Panel(
+                f"{data_text(label_of(name))}: {symbol} ({unit})", Axis("Speed (m/s)"), Axis(f"{label} ({input_unit})"),
+                [heat], f"{plain(symbol)} over speed and {label.lower()}: {span(values)}.",
+            ))  # fmt: skip
+    caption = (
+        "The learned tuning over speed and the reference ahead, with the other inputs in the middle of their domain "
+        "and without the guard. Panels of the same output share their colours."
+    )
+    columns = len(schedules) if len(schedules) > 1 else len(OUTPUTS)
+    return Picture("surfaces", caption, panels, file="surfaces.png", columns=columns, row_height=2.1)
+
+
+def shared_scale(values: Sequence[Array], whole: bool) -> Scale:
+    """From the lowest to the highest of all values; half a unit on either side where they are one number."""
+    everything = np.concatenate([part.ravel() for part in values])
+    low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
+    return Scale(low, high, whole=whole) if high > low else Scale(low - 0.5, high + 0.5, whole=whole)
+
+
+def _surface(schedule: Schedule) -> Array:
+    """(nodes of the second input, nodes of speed, 3) outputs, the other inputs in the middle of their domain."""
+    columns, rows = NODES
+    x = np.broadcast_to(schedule.domain.mean(axis=1), (rows, columns, len(schedule.inputs))).copy()
+    (slowest, fastest), (low, high) = schedule.domain[:2].tolist()
+    x[..., 0] = np.linspace(slowest, fastest, columns)
+    x[..., 1] = np.linspace(low, high, rows)[:, np.newaxis]
+    variables = np.zeros((rows * columns, len(SchedulingVariables._fields)))
+    variables[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = x.reshape(rows * columns, -1)
+    Np, Nc, Q, R = schedule.batch(variables).T
+    return np.column_stack([Np, Nc, np.log10(R / Q)]).reshape(rows, columns, 3)

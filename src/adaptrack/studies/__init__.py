@@ -1,1 +1,0 @@
-"""Whole studies, each a pipeline of named stages: the paper's experiment, and an adaptation."""
