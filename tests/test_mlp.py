@@ -10,7 +10,7 @@ from sklearn.utils.estimator_checks import check_estimator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.paper import MLP
-from adaptrack.paper.validation import held_out
+from adaptrack.paper.samples import held_out
 
 QUICK = {"epochs": 60, "batch_size": 20}
 

@@ -140,7 +140,7 @@ def test_a_target_that_never_changes_has_no_r2_and_no_error(dataset):
 
 def test_the_seed_chooses_the_hold_out_and_the_start(dataset):
     def weights(seed):
-        return train(dataset, "nn", epochs=2, seed=seed).network("Np").weights[0]
+        return train(dataset, "nn", epochs=2, seed=seed).functions["Np"].weights[0]
 
     np.testing.assert_array_equal(weights(3), weights(3))
     assert (weights(3) != weights(4)).any()

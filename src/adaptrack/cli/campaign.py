@@ -36,7 +36,7 @@ class CampaignOptions:
 
 
 @options.grouped
-def campaign(given: CampaignOptions) -> None:
+def campaign(arguments: CampaignOptions) -> None:
     """Tune the MPC at every operating point of a campaign, or describe its data set.
 
     With --out: run the campaign in that folder, or continue one that was interrupted, and write a page on its data set.
@@ -48,15 +48,17 @@ def campaign(given: CampaignOptions) -> None:
     from adaptrack.results.dataset import dataset_result
     from adaptrack.results.page import write_result
 
-    if given.out is None:
-        result, page = dataset_result(load_dataset(given.name)), None
+    if arguments.out is None:
+        result, page = dataset_result(load_dataset(arguments.name)), None
     else:
-        config = load_campaign(given.name)
-        interrupt.kept(f"Finished parts are kept in {given.out}: run the command again to continue.")
+        config = load_campaign(arguments.name)
+        interrupt.kept(f"Finished parts are kept in {arguments.out}: run the command again to continue.")
         with show.progress("campaign") as advance:
-            file = run_campaign(config, given.out, workers=given.workers, cluster=given.cluster, progress=advance)
+            file = run_campaign(
+                config, arguments.out, workers=arguments.workers, cluster=arguments.cluster, progress=advance
+            )
         result = dataset_result(load_dataset(file))
         with show.progress("write the page"):
-            page = write_result(given.out, result)
-    learn = command("paper", "train", "--data", given.out or given.name, "--model", "nn", "--out", "nn.json")
-    show.say_result(replace(result, next_step=next_line("to learn a schedule from it", learn)), given.as_json, page)
+            page = write_result(arguments.out, result)
+    learn = command("paper", "train", "--data", arguments.out or arguments.name, "--model", "nn", "--out", "nn.json")
+    show.say_result(replace(result, next_step=next_line("to learn a schedule from it", learn)), arguments.as_json, page)

@@ -26,7 +26,7 @@ class ReproduceOptions:
 
 
 @options.grouped
-def reproduce(given: ReproduceOptions) -> None:
+def reproduce(arguments: ReproduceOptions) -> None:
     """Repeat the paper's experiment.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
@@ -36,15 +36,15 @@ def reproduce(given: ReproduceOptions) -> None:
     from adaptrack.results.page import write_result
     from adaptrack.results.reproduce import reproduction_result
 
-    dataset = load_dataset(given.data)
-    options.make_folder(given.out)
+    dataset = load_dataset(arguments.data)
+    options.make_folder(arguments.out)
     with show.progress("reproduce") as advance:
-        reproduction = repeat_experiment(dataset, quick=given.quick, seed=given.seed, progress=advance)
+        reproduction = repeat_experiment(dataset, quick=arguments.quick, seed=arguments.seed, progress=advance)
     next_step = (
-        next_line("to learn as long as the paper did", command("paper", "reproduce", "--out", f"{given.out}-whole"))
-        if given.quick else next_line("to drive a road", command("drive", "country", "--out", "drive"))
+        next_line("to learn as long as the paper did", command("paper", "reproduce", "--out", f"{arguments.out}-whole"))
+        if arguments.quick else next_line("to drive a road", command("drive", "country", "--out", "drive"))
     )  # fmt: skip
     result = replace(reproduction_result(reproduction, options.command_line()), next_step=next_step)
     with show.progress("write the page"):
-        page = write_result(given.out, result)
-    show.say_result(result, given.as_json, page)
+        page = write_result(arguments.out, result)
+    show.say_result(result, arguments.as_json, page)

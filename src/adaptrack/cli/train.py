@@ -41,7 +41,7 @@ class TrainOptions:
 
 
 @options.grouped
-def train(given: TrainOptions) -> None:
+def train(arguments: TrainOptions) -> None:
     """Learn a schedule from a data set.
 
     It is judged on held-out operating points; boosted trees show how much can be learned.
@@ -51,19 +51,19 @@ def train(given: TrainOptions) -> None:
     from adaptrack.paper.schedules import purpose_of, trained_schedule
     from adaptrack.paper.training import train as train_models
 
-    out, model, targets = given.out, str(given.model), str(given.targets)
+    out, model, targets = arguments.out, str(arguments.model), str(arguments.targets)
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: give a file name that ends in .json.")
-    dataset = load_dataset(given.data)
+    dataset = load_dataset(arguments.data)
     options.make_place(out)
     with show.progress("train") as advance:
-        trained = train_models(dataset, model, targets, seed=given.seed, progress=advance)
+        trained = train_models(dataset, model, targets, seed=arguments.seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         check_scheduler(schedule)
     schedule.save(out)
     interrupt.kept(f"The schedule is in {out}.")
     rows = trained.quality
-    if given.as_json:
+    if arguments.as_json:
         show.say_json({"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets, "rows": rows})
         return
     held_out = f"{rows[0]['n_holdout']} of {len(dataset)} operating points held out"

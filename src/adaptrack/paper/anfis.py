@@ -36,8 +36,7 @@ from adaptrack.control.scheduling.functions.sugeno import (
     distance,
 )
 from adaptrack.paper import partition as partitions
-from adaptrack.paper.validation import held_out
-from adaptrack.paper.weights import mean, part, row_weights
+from adaptrack.paper.samples import held_out, mean, part, row_weights
 
 Array = NDArray[np.float64]
 

@@ -110,7 +110,7 @@ class CampaignParts:
 
     plan: Plan
     folder: Path
-    about: Mapping[str, Any]
+    provenance: Mapping[str, Any]
     """name, versions of the software, settings and identity (the hash of the settings)"""
 
     @cached_property
@@ -140,10 +140,10 @@ class CampaignParts:
             return None
         part = DataSet.load(file)
         for key, name in (("identity", "settings"), ("versions", "software")):
-            if part.provenance.get(key) != self.about[key]:
+            if part.provenance.get(key) != self.provenance[key]:
+                difference = _difference(part.provenance, self.provenance, key)
                 raise StorageError(
-                    f"{file}: was computed with other {name} ({_difference(part.provenance, self.about, key)}): choose "
-                    "another folder, or remove this one."
+                    f"{file}: was computed with other {name} ({difference}): choose another folder, or remove this one."
                 )
         if not np.array_equal(part.stream, self.streams[number]):
             raise StorageError(f"{file}: holds other operating points; was `chunk` changed? Choose another folder.")
@@ -167,7 +167,7 @@ class CampaignParts:
             stream=streams,
             mirrored_from=np.full(count, -1),
             seed=np.full(count, self.plan.config.seed),
-            provenance=dict(self.about),
+            provenance=dict(self.provenance),
         ).save(self.file(number))
 
     def merged(self) -> DataSet:
@@ -182,17 +182,17 @@ class CampaignParts:
             "stream": numbers,
             "mirrored_from": np.where(origin == numbers, -1, origin),
         }
-        return DataSet(**columns, library=self.plan.library, provenance=dict(self.about))
+        return DataSet(**columns, library=self.plan.library, provenance=dict(self.provenance))
 
 
 def _difference(theirs: Mapping[str, Any], ours: Mapping[str, Any], key: str) -> str:
     """The first entry in which the settings or the versions of two campaigns differ."""
     table = "settings" if key == "identity" else key
-    before, now = theirs.get(table), ours[table]
-    if isinstance(before, Mapping):
-        for name in sorted({*before, *now}):
-            if before.get(name) != now.get(name):
-                return f"{name} = {before.get(name)} there, {now.get(name)} here"
+    previous, current = theirs.get(table), ours[table]
+    if isinstance(previous, Mapping):
+        for name in sorted({*previous, *current}):
+            if previous.get(name) != current.get(name):
+                return f"{name} = {previous.get(name)} there, {current.get(name)} here"
     return "operating points or library differ"
 
 
@@ -230,8 +230,8 @@ def run_campaign(
         raise InvalidInput("workers and cluster: give one of them; a cluster has its own workers.")
     plan = Plan.of(config)
     versions = software_versions(plan.setup)
-    about = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
-    parts = CampaignParts(plan, Path(out), about)
+    provenance = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
+    parts = CampaignParts(plan, Path(out), provenance)
     _make_folder(parts.file(0).parent)
     missing = parts.missing()
     if missing:

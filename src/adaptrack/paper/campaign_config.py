@@ -1,4 +1,4 @@
-"""What a campaign is: one validated TOML file, the operating points and the library of tunings that it stands for."""
+"""The settings of a campaign: one validated TOML file, its operating points and its library of tunings."""
 
 from __future__ import annotations
 
@@ -274,10 +274,10 @@ def load_campaign(name_or_path: str | os.PathLike[str]) -> CampaignConfig:
     if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
         path = Path(name_or_path)
     else:
-        known = [each.stem for each in _DATA.glob("*.toml")]
-        if name_or_path not in known:
+        names = [path.stem for path in _DATA.glob("*.toml")]
+        if name_or_path not in names:
             raise UnknownName(
-                f"no campaign is named {name_or_path!r}. {did_you_mean(name_or_path, known)} "
+                f"no campaign is named {name_or_path!r}. {did_you_mean(name_or_path, names)} "
                 "A file is given by its .toml path."
             )
         path = _DATA / f"{name_or_path}.toml"
@@ -292,7 +292,7 @@ def _is_path(text: str) -> bool:
     return text.endswith(".toml") or any(mark in text for mark in (os.sep, os.altsep) if mark)
 
 
-# -- what follows from it ---------------------------------------------------------------------------------------------
+# -- ready to run ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Setup:
     """Everything that decides the cost of a tuning: what a worker needs to build the objective."""
@@ -315,8 +315,8 @@ class Setup:
     @property
     def searched_on(self) -> Plant | SteppedPlant:
         """What is tuned and learned on: the campaign's plant, or the car's twin where that one is costly."""
-        driven = self.plant()
-        return twin_of(self.vehicle) if driven.costly else driven
+        plant = self.plant()
+        return twin_of(self.vehicle) if plant.costly else plant
 
 
 @lru_cache(maxsize=8)
@@ -401,9 +401,9 @@ class Plan:
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
         values = self.config.model_dump(mode="json", exclude={"description", "chunk", "plugin"})
-        driven = self.setup.searched_on
-        if not isinstance(driven, SingleTrack | DualTrack):
-            values["plant_fingerprint"] = fingerprint(driven)
+        plant = self.setup.searched_on
+        if not isinstance(plant, SingleTrack | DualTrack):
+            values["plant_fingerprint"] = fingerprint(plant)
         unused = {"description", "tyre", "body", "domain", "estimated", "steering", "known_within"}
         values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude=unused)
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})

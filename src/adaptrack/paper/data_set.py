@@ -182,9 +182,9 @@ class DataSet:
         standard, best = self.standard_costs, self.costs
         return np.isfinite(standard) & (standard > 0.0) & np.isfinite(best) & (best > 0.0)
 
-    def rows(self, which: ArrayLike) -> Self:
-        """A part of it: row numbers, or a truth value for each row."""
-        chosen = np.arange(len(self))[np.asarray(which)]
+    def rows(self, selection: ArrayLike) -> Self:
+        """The selected rows; selection: row numbers, or a truth value for each row."""
+        chosen = np.arange(len(self))[np.asarray(selection)]
         return replace(self, **{name: getattr(self, name)[chosen] for name in self.ROW_FIELDS})
 
     def split(self, fraction: float = 0.2, seed: int = 0) -> tuple[Self, Self]:
@@ -205,8 +205,8 @@ class DataSet:
                 f"fraction = {fraction!r}: holds {out} of {families} independent operating points out; need at "
                 "least one, and one left to learn from."
             )
-        held = np.isin(family, np.random.default_rng(seed).permutation(families)[:out])
-        return self.rows(~held), self.rows(held)
+        held_out = np.isin(family, np.random.default_rng(seed).permutation(families)[:out])
+        return self.rows(~held_out), self.rows(held_out)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as one Parquet file, which appears whole or not at all.
@@ -224,8 +224,8 @@ class DataSet:
             ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
             for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
         ]
-        about = {**self.provenance, "library": self.library.tolist()}
-        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, about), through_links=False)
+        metadata = {**self.provenance, "library": self.library.tolist()}
+        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, metadata), through_links=False)
 
     @classmethod
     @checked
@@ -239,12 +239,12 @@ class DataSet:
         """
         remedy = "run its campaign again, or use the release that wrote it"
         names = [column.name for column in DATA_SET_COLUMNS]
-        columns, about = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, FORMAT_VERSION, remedy, names)
+        columns, metadata = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, FORMAT_VERSION, remedy, names)
         try:
             for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
                 if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:
                     raise ValueError(f"column {name!r} holds {columns[name].dtype}, not {dtype}")
-            library = np.array(about.pop("library"), dtype=np.float64)
+            library = np.array(metadata.pop("library"), dtype=np.float64)
             return cls(
                 operating_points=np.column_stack([columns[name] for name in NAMES]),
                 tunings=np.column_stack([columns[name] for name in _TUNING]),
@@ -253,7 +253,7 @@ class DataSet:
                 traces=columns["trace"],
                 landscape=columns["landscape"],
                 library=library,
-                provenance=about,
+                provenance=metadata,
                 **{name: columns[name] for name in _WHOLE},
             )
         except (AttributeError, KeyError, ValueError, TypeError, OverflowError) as error:

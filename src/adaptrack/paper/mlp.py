@@ -27,8 +27,7 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import Count, Positive, check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.network import Network
-from adaptrack.paper.validation import held_out
-from adaptrack.paper.weights import mean, part, row_weights
+from adaptrack.paper.samples import held_out, mean, part, row_weights
 
 Array = NDArray[np.float64]
 

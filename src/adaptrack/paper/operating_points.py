@@ -1,7 +1,7 @@
 """Operating points as rows (speed, y_ref, friction, wind): grids, Sobol samples, left-right twins.
 
-An operating point is what the paper's section III varies: what one run meets. Here it is a row of an array of
-shape (n, 4), float64, its columns named and explained by `COLUMNS`; the number of a row is the point's number.
+The paper's section III varies the operating point of a run. Here it is a row of an array of shape (n, 4), float64;
+`COLUMNS` names and explains the columns. The number of a row is the point's number.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ PAPER_GRID: dict[str, tuple[float, ...]] = {
 }
 """Levels of the authors' published data: 9 x 13 x 5 x 11 = 6,435 operating points."""
 
-MOST = 10_000_000
+MAX_POINTS = 10_000_000
 """Operating points that one array may hold: more is a mistake in the configuration."""
 
 
@@ -72,9 +72,9 @@ def check_operating_points(points: ArrayLike) -> Array:
             f"operating points: need rows of {', '.join(NAMES)}, at least one; got the shape {rows.shape}."
         )
     for column, values in zip(COLUMNS, rows.T, strict=True):
-        wrong = ~((values >= column.low) & (values <= column.high))  # NaN is wrong, too
-        if wrong.any():
-            first = int(np.flatnonzero(wrong)[0])
+        invalid = ~((values >= column.low) & (values <= column.high))  # NaN is invalid, too
+        if invalid.any():
+            first = int(np.flatnonzero(invalid)[0])
             raise InvalidInput(
                 f"operating points: {column.name} = {values[first]:g} in row {first}: must be in "
                 f"[{column.low:g}, {column.high:g}]{_unit(column)} ({column.meaning})."
@@ -94,17 +94,17 @@ def grid(*, speed: Sequence[float], y_ref: Sequence[float], friction: Sequence[f
     """
     axes = {"y_ref": y_ref, "speed": speed, "friction": friction, "wind": wind}
     levels: dict[str, Array] = {}
-    for name, given in axes.items():
+    for name, values in axes.items():
         try:
-            levels[name] = np.array(given, dtype=np.float64)
+            levels[name] = np.array(values, dtype=np.float64)
         except (TypeError, ValueError):
             raise InvalidInput(f"grid: {name}: need a list of numbers.") from None
         if levels[name].ndim != 1 or not levels[name].size:
             raise InvalidInput(f"grid: {name}: need a list of one level or more.")
         if np.unique(levels[name]).size < levels[name].size:
             raise InvalidInput(f"grid: {name}: a level is given twice.")
-    if math.prod(axis.size for axis in levels.values()) > MOST:
-        raise InvalidInput(f"grid: more than {MOST:,} operating points; use fewer levels.")
+    if math.prod(axis.size for axis in levels.values()) > MAX_POINTS:
+        raise InvalidInput(f"grid: more than {MAX_POINTS:,} operating points; use fewer levels.")
     mesh = dict(zip(levels, np.meshgrid(*levels.values(), indexing="ij"), strict=True))
     return check_operating_points(np.column_stack([mesh[name].ravel() for name in NAMES]))
 
@@ -124,10 +124,10 @@ def check_box(box: Mapping[str, Sequence[float]]) -> Array:
     """
     if set(box) != set(NAMES):
         missing, unknown = sorted(set(NAMES) - set(box)), sorted(set(box) - set(NAMES))
-        what = "; ".join(
+        difference = "; ".join(
             f"{word} {', '.join(names)}" for word, names in (("missing:", missing), ("unknown:", unknown)) if names
         )
-        raise InvalidInput(f"box: need a pair [low, high] for each of {', '.join(NAMES)}; {what}.")
+        raise InvalidInput(f"box: need a pair [low, high] for each of {', '.join(NAMES)}; {difference}.")
     bounds = np.empty((len(COLUMNS), 2))
     for row, column in zip(bounds, COLUMNS, strict=True):
         pair = box[column.name]
@@ -145,7 +145,7 @@ def check_box(box: Mapping[str, Sequence[float]]) -> Array:
 
 
 @checked
-def sobol(n: Annotated[Count, Field(le=MOST)], box: Mapping[str, Sequence[float]], seed: Natural = 0) -> Array:
+def sobol(n: Annotated[Count, Field(le=MAX_POINTS)], box: Mapping[str, Sequence[float]], seed: Natural = 0) -> Array:
     """The first n points of a scrambled Sobol sequence in a box, (n, 4).
 
     box: a pair [low, high] for each of speed, y_ref, friction, wind; seed: of the scrambling. The points fill the box
@@ -207,8 +207,8 @@ def fold(points: ArrayLike) -> Fold:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     representatives, family = first[order], rank[by_value.reshape(-1)]
-    same = (rows == rows[representatives[family]]).all(axis=1)
-    return Fold(representatives.astype(np.int64), family.astype(np.int64), np.where(same, 1, -1).astype(np.int64))
+    equal = (rows == rows[representatives[family]]).all(axis=1)
+    return Fold(representatives.astype(np.int64), family.astype(np.int64), np.where(equal, 1, -1).astype(np.int64))
 
 
 def canonical(points: ArrayLike) -> Array:

@@ -165,17 +165,17 @@ class Reproduction:
         return values | {"constant": dataclasses.asdict(self.constant)}
 
 
-# -- what a data set gives ---------------------------------------------------------------------------------------------
+# -- comparators from the data set -----------------------------------------------------------------------------------
 def best_of_library(dataset: DataSet) -> BestConstant:
     """The tuning of the library with the lowest geometric mean of its cost over all operating points.
 
     One that fails on fewer of them always comes first.
     """
     landscape = dataset.landscape.astype(np.float64)
-    kept = np.isfinite(landscape)
+    driven = np.isfinite(landscape)
     with np.errstate(divide="ignore"):
-        mean_log = np.where(kept, np.log(landscape), 0.0).sum(axis=0) / np.maximum(kept.sum(axis=0), 1)
-    best = int(np.lexsort((mean_log, -kept.sum(axis=0)))[0])
+        mean_log = np.where(driven, np.log(landscape), 0.0).sum(axis=0) / np.maximum(driven.sum(axis=0), 1)
+    best = int(np.lexsort((mean_log, -driven.sum(axis=0)))[0])
     Np, Nc, Q, R = dataset.library[best].tolist()
     costs = np.column_stack((landscape[:, best], dataset.standard_costs, dataset.costs))
     cost, standard, swarm = np.exp(np.log(costs[np.isfinite(costs).all(axis=1)]).mean(axis=0)).tolist()
@@ -185,7 +185,7 @@ def best_of_library(dataset: DataSet) -> BestConstant:
         cost=cost,
         standard_cost=standard,
         swarm_cost=swarm,
-        failed=int((~kept[:, best]).sum()),
+        failed=int((~driven[:, best]).sum()),
         candidates=len(dataset.library),
         runs=computed * len(dataset.library),
         swarm_runs=int(dataset.evaluations[dataset.computed].sum()),
@@ -242,12 +242,12 @@ def reproduce(
     training_seconds = time.perf_counter() - begun
     clamped = {model: _within(schedule, CLAMPS[model]) for model, schedule in free.items()}
     scenarios = [load_scenario(name) for name in TESTS]
-    released, same = configurations(constant.tuning, table, clamped, free)
+    released, same_moves = configurations(constant.tuning, table, clamped, free)
     enter(2)
-    rows = drive_all((released, same), scenarios)
+    rows = drive_all((released, same_moves), scenarios)
     enter(3)
     parts = ablation(released.plant, scenarios, constant.tuning, clamped, dataset.library)
-    swapped = swaps(same.plant, scenarios, constant.tuning)
+    swapped = swaps(same_moves.plant, scenarios, constant.tuning)
     enter(4)
     informed = drive_informed(TESTS, clamped, FAST)
     enter(5)
@@ -333,7 +333,7 @@ def configurations(
             *(PaperController(model, FAST, schedule=clamped[model], stands_for=model) for model in LEARNED),
         ),
     )
-    same = Configuration(
+    same_moves = Configuration(
         "same-moves",
         DualTrack(car, "magic-formula"),
         (
@@ -344,7 +344,7 @@ def configurations(
             *(PaperController(model, PULSES, schedule=free[model], stands_for=model) for model in LEARNED),
         ),
     )
-    return released, same
+    return released, same_moves
 
 
 def drive(
@@ -412,7 +412,7 @@ def ablation(
             ]
             mpc = controllers[0].mpc(preview=False)
             by_constants = rollout_batch(plant, mpc, scenario, library, failure=DRIVEN_ON).mse
-            found = [
+            measured = [
                 (controller.name, controller.schedule is not None, compute_metrics(drive(plant, controller, scenario)))
                 for controller in controllers
             ]
@@ -426,7 +426,7 @@ def ablation(
                     "failed": measures.failed,
                     "constants_better": int((by_constants < measures.mse).sum()),
                 }
-                for name, adapts, measures in found
+                for name, adapts, measures in measured
             ]
             rows.append(
                 {

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
@@ -59,41 +59,9 @@ class Trained:
     """data set and its identity, hold-out, seed, options of the models"""
 
     @property
-    def histories(self) -> dict[str, dict[str, Array]]:
-        """The learning curves of each slot, see `MLP` and `ANFIS`."""
-        return {slot: made.history_ for slot, made in self.estimators.items()}
-
-    @property
     def functions(self) -> dict[str, Network | Sugeno]:
         """What runs, by slot."""
         return {slot: _size_and_function(made)[1] for slot, made in self.estimators.items()}
-
-    def network(self, slot: str) -> Network:
-        """The network that runs for this slot.
-
-        Raises
-        ------
-        UnknownName
-            When nothing of this name was learned.
-        InvalidInput
-            When the models are no networks.
-        """
-        made = self._estimator(slot)
-        if not isinstance(made, MLP):
-            raise InvalidInput(f"network({slot!r}): these models are fuzzy systems: use system({slot!r}).")
-        return made.network_
-
-    def system(self, slot: str) -> Sugeno:
-        """The fuzzy system that runs for this slot; raises like `network`."""
-        made = self._estimator(slot)
-        if not isinstance(made, ANFIS):
-            raise InvalidInput(f"system({slot!r}): these models are networks: use network({slot!r}).")
-        return made.system_
-
-    def _estimator(self, slot: str) -> MLP | ANFIS:
-        if slot not in self.estimators:
-            raise UnknownName(f"no slot is named {slot!r}. {did_you_mean(slot, self.estimators)}")
-        return self.estimators[slot]
 
 
 @tells("train")

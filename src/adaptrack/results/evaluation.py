@@ -68,7 +68,7 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
         pictures=[ratios_picture(comparison, label_of), *maps, *([surfaces_picture(learned)] if learned else [])],
         values={
             "runs": counted(_runs(comparison), NOUNS[view]), "reference": label_of(comparison.reference),
-            "views": [name for name in views if views[name]], "failed_cost": number(comparison.failure.distance**2),
+            "views": [name for name in views if views[name]], "failed_cost": f"{comparison.failure.distance**2:g}",
         },
         command=command,
     )  # fmt: skip
@@ -121,14 +121,16 @@ def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
     columns = [column for column in COLUMNS if any(row[column.name] is not None for row in rows)]
     several = "group" if len(comparisons) > 1 else ""
     first = next(iter(comparisons.values()))
-    title = f"{title_of(view)}: {counted(_runs(first), NOUNS[view])}, regret to {label_of(first.reference).lower()}"
+    runs = "the paper's two" if view == "tests" else counted(_runs(first), NOUNS[view])
+    title = f"{title_of(view)}: {runs}, regret to {label_of(first.reference).lower()}"
     failed = where(rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(view, title, columns, rows, "", several, frozenset(best), failed, brief=True)
 
 
 def _row(comparison: Comparison, row: Row, group: str) -> dict[str, Any]:
     contender = row["contender"]
-    interval = None if contender == comparison.reference else (row["regret_low"], row["regret_high"])
+    single = contender == comparison.reference or row["runs"] == 1
+    interval = None if single else (row["regret_low"], row["regret_high"])
     return {
         **row, "label": label_of(contender), "group": title_of(group), "interval": interval,
         "hindsight": comparison.role(contender).hindsight, "fallback": row.get("fallback"),
@@ -203,11 +205,11 @@ def shared_scale(values: Sequence[Array], whole: bool) -> Scale:
 def _surface(schedule: Schedule) -> Array:
     """(nodes of the second input, nodes of speed, 3) outputs, the other inputs in the middle of their domain."""
     columns, rows = NODES
-    x = np.broadcast_to(schedule.domain.mean(axis=1), (rows, columns, len(schedule.inputs))).copy()
+    places = [SchedulingVariables._fields.index(name) for name in schedule.inputs]
+    variables = np.zeros((rows, columns, len(SchedulingVariables._fields)))
+    variables[..., places] = schedule.domain.mean(axis=1)
     (slowest, fastest), (low, high) = schedule.domain[:2].tolist()
-    x[..., 0] = np.linspace(slowest, fastest, columns)
-    x[..., 1] = np.linspace(low, high, rows)[:, np.newaxis]
-    variables = np.zeros((rows * columns, len(SchedulingVariables._fields)))
-    variables[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = x.reshape(rows * columns, -1)
-    Np, Nc, Q, R = schedule.batch(variables).T
+    variables[..., places[0]] = np.linspace(slowest, fastest, columns)
+    variables[..., places[1]] = np.linspace(low, high, rows)[:, np.newaxis]
+    Np, Nc, Q, R = schedule.batch(variables.reshape(-1, variables.shape[-1])).T
     return np.column_stack([Np, Nc, np.log10(R / Q)]).reshape(rows, columns, 3)

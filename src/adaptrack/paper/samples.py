@@ -1,4 +1,4 @@
-"""Weights of rows: how much each counts in what a model learns."""
+"""Samples of a model: weights of the rows, and the rows that are held out to stop early."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from sklearn.utils.validation import check_array, check_consistent_length
 from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
+RowNumbers = NDArray[np.int64]
 
 
 def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array | None:
@@ -23,10 +24,10 @@ def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array 
     """
     if sample_weight is None:
         return None
-    given = np.asarray(sample_weight)
-    if given.ndim == 0:
-        given = np.full(len(x), given)
-    weight = check_array(given, ensure_2d=False, dtype=np.float64, input_name="sample_weight")
+    weights = np.asarray(sample_weight)
+    if weights.ndim == 0:
+        weights = np.full(len(x), weights)
+    weight = check_array(weights, ensure_2d=False, dtype=np.float64, input_name="sample_weight")
     if weight.ndim != 1:
         raise InvalidInput(
             f"{model}: sample_weight has the shape {weight.shape}: Sample weights must be 1D array or scalar."
@@ -47,3 +48,18 @@ def part(weight: Array | None, rows: Any) -> Array | None:
 def mean(values: Array, weight: Array | None) -> Any:
     """Down the rows of values (n, ...), each counting by its weight."""
     return values.mean(axis=0) if weight is None else np.average(values, axis=0, weights=weight)
+
+
+def held_out(model: str, n: int, fraction: float, rng: np.random.RandomState) -> tuple[RowNumbers, RowNumbers]:
+    """The rows to train on and the held-out rows of n: a `fraction` at random, at least one; both ascending.
+
+    Raises
+    ------
+    InvalidInput
+        When no row is left to train on.
+    """
+    count = max(1, round(fraction * n))
+    if count >= n:
+        raise InvalidInput(f"{model}: validation_fraction = {fraction!r} of {n} sample(s) leaves none.")
+    order = rng.permutation(n)
+    return np.sort(order[count:]), np.sort(order[:count])
