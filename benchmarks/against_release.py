@@ -135,8 +135,9 @@ SCHEDULERS = ("road-nn", "road-anfis", "road-best-constant", "road-look-up")
 
 COMMANDS: Mapping[str, Mapping[str, Question]] = {
     "reproduce": {"paper": Question("reproduce --out paper")},
-    "compare": {"quick": Question("compare --quick --out compared"),
-                "contenders": Question("compare --list")},
+    "compare": {"quick": Question("compare --config quick --out compared", "compare --quick --out compared"),
+                "lane-change": Question("compare --lane-change iso3888-2 --vehicle compact-ev --budget 0",
+                                        "manoeuvre obstacle-avoidance --vehicle compact-ev --no-tune")},
     "evaluate": {
         "as-written": Question(
             "evaluate-schedules --operating-points sobol:100 --drives 200 --tests",
@@ -144,9 +145,6 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
         "noisy": Question(
             "evaluate-schedules --drives 40 --known-as noisy --known-as withheld",
             "evaluate-schedules --controller as-written --drives 40 --known-as noisy --known-as withheld"),
-        "roads": Question("evaluate mountain country --road-seed 1 --road-seed 2 --length 800 --vehicle midsize-sedan"
-                          " --noise-seeds 3"),
-        "named": Question("evaluate town --length 600 --contender informed --contender lqr --contender stanley"),
     },
     "certify": {
         **{name: Question(f"certify {name}") for name in SCHEDULERS},
@@ -156,9 +154,13 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
         "feasible": Question("certify --feasible --speed 10 20 --friction 0.5 0.9"),
     },
     "tune": {
-        "sedan": Question("tune mountain town --vehicle midsize-sedan --length 600 --runs 160 --out sedan.toml"),
-        "van-lqr": Question("tune country --vehicle van --length 600 --controller lqr --runs 160 --out van.toml"),
-        "paper-pursuit": Question("tune country --length 600 --controller pure-pursuit --runs 80 --out pursuit.toml"),
+        "sedan": Question(
+            "tune midsize-sedan --road mountain --road town --length 600 --runs 160 --out sedan",
+            "tune mountain town --vehicle midsize-sedan --length 600 --runs 160 --out sedan.toml"),
+        "van-lqr": Question(
+            "tune van --road country --length 600 --controller lqr --runs 160 --out van",
+            "tune country --vehicle van --length 600 --controller lqr --runs 160 --out van.toml"),
+        "compact-ev": Question("tune compact-ev --out compact", "adapt compact-ev --out compact"),
     },
     "adapt": {
         "config": Question("adaptation {adaptation} --out chain", "adapt --config {adaptation} --out chain"),
@@ -188,10 +190,9 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
                 for kind in ("motorway", "country", "town", "mountain", "lap")},
              "points": Question("road check {track} --vehicle van"),
              "noisy": Question("road check {noisy}")},
-    "manoeuvre": {"obstacle-avoidance": Question("manoeuvre obstacle-avoidance --vehicle compact-ev --no-tune")},
     "learning": {"train-nn": Question("train --data paper-grid --model nn --out nn.json"),
                  "describe": Question("dataset describe road-sobol")},
-    "lists": {**{name: Question(name) for name in ("scenarios", "vehicles", "schedulers")},
+    "lists": {"names": Question("list"),
               "datasets": Question("dataset list"),
               "car": Question("car --mass 1450 --wheelbase 2.65 --out my-car.toml")},
 }  # fmt: skip

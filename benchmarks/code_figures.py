@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 PACKAGE = "adaptrack"
 ROOMS = (
     "base", "core", "cars", "road", "scenario", "control", "drive", "analysis", "identification", "tuning",
-    "comparison", "studies", "paper", "export", "gym", "results", "cli",
+    "comparison", "paper", "export", "gym", "results", "cli",
 )  # fmt: skip
 """The rooms in the order of the data flow: a module imports from its own room and from those before it."""
 FORMERLY = {
@@ -40,7 +40,8 @@ FORMERLY = {
     **dict.fromkeys(("world", "closed_loop", "simulate", "batch", "trajectory", "failure", "metrics"), "drive"),
     **dict.fromkeys(("signal_statistics", "prediction"), "drive"),
     **dict.fromkeys(("linearisation", "stability", "certify", "feasibility"), "analysis"),
-    "runs": "tuning", **dict.fromkeys(("dataset", "learning", "adaptation"), "paper"), "evaluate": "comparison", "manoeuvres": "comparison", "adapt": "studies",
+    "runs": "tuning", "evaluate": "comparison", "manoeuvres": "comparison",
+    **dict.fromkeys(("dataset", "learning", "adaptation", "adapt", "studies"), "paper"),
     **dict.fromkeys(("process_plant", "commonroad_plants"), "peers"), "report": "results", "__main__": "cli",
     **dict.fromkeys(("benchmark", "fuzz", "qp_corpus"), "tools"),
 }  # fmt: skip

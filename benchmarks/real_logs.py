@@ -94,7 +94,7 @@ def shadowed(
     logs: Sequence[Mapping[str, np.ndarray]], entry: Mapping[str, Any], how: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """What `shadow` says of each log, driven by a controller that has the data sheet."""
-    from adaptrack.studies.shadow import shadow
+    from adaptrack.identification.shadow import shadow
 
     car = at.vehicle_from_data_sheet("sheet", entry["mass"], entry["wheelbase"])
     found = []

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
+from adaptrack.base.statistics import geometric_mean
 from adaptrack.cars.data_sheet import MASSES
-from adaptrack.comparison.statistics import geometric_mean
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import random_drive_runs
 

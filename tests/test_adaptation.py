@@ -12,8 +12,8 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.statistics import geometric_mean
 from adaptrack.cars.vehicle import GRAVITY
-from adaptrack.comparison.statistics import geometric_mean
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     ENTRIES,

@@ -35,8 +35,8 @@ def test_what_one_side_lacks_is_named_with_its_side():
 
 
 def test_an_answer_that_is_missing_counts_as_a_difference(tmp_path, capsys):
-    (tmp_path / "lists-vehicles.json").write_text("{}")
-    assert against_release.report(tmp_path, tmp_path / "none", [("lists", "vehicles")]) == 1
+    (tmp_path / "lists-names.json").write_text("{}")
+    assert against_release.report(tmp_path, tmp_path / "none", [("lists", "names")]) == 1
     assert "no " in capsys.readouterr().out
 
 

@@ -51,7 +51,7 @@ def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tm
     assert first == f"{rms} RMS error, largest {answers.length(row['max_abs_error'])}."
     assert step(last) == [*DRIVE, "--out", "drive"]
     *_, last = lines(*DRIVE, "--out", tmp_path)
-    assert step(last)[:2] == ["tune", "town"]
+    assert step(last)[:4] == ["tune", "midsize-sedan", "--road", "town"]
 
 
 def test_the_best_of_several_controllers_is_named_first(lines):
@@ -85,8 +85,7 @@ def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
         (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
         (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
         (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
-        (["scenarios"], "7 scenarios", ["drive"]),
-        (["schedulers"], "12 schedulers", ["certify"]),
+        (["list", "scenarios"], "7 scenarios", ["drive"]),
         (["paper", "campaign", "paper-grid"], r"paper-grid: 6.435 operating points; ", ["paper", "train"]),
     ],
 )

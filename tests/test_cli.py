@@ -14,6 +14,7 @@ from adaptrack import cli
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.cli import options
 from adaptrack.cli.app import app
+from adaptrack.control.scheduling import list_schedulers
 from small_data import small, small_campaign
 
 pytestmark = pytest.mark.compiled
@@ -77,8 +78,8 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
     [
         ("identify log.csv --out {file}.toml", "adaptrack.identification.identify"),
         ("identify log.csv --page {file}.html", "adaptrack.identification.identify"),
-        ("tune town --length 200 --out {file}.toml", "adaptrack.road.load_road"),
-        ("evaluate town --length 200 --out {file}", "adaptrack.road.load_road"),
+        ("tune paper --road town --out {file}", "adaptrack.comparison.tune_on_roads.tune_on_roads"),
+        ("compare town --out {file}", "adaptrack.comparison.run.run_comparison"),
         ("road plot town --out {file}.png", "adaptrack.road.load_road"),
         ("drive town --length 200 --learned {file}.toml", "adaptrack.road.load_road"),
         ("drive step --learned {file}.toml", "adaptrack.drive.simulate.simulate"),
@@ -215,14 +216,15 @@ def test_learning_says_what_is_wrong_before_it_begins(monkeypatch, capsys, tmp_p
 
 
 def test_lists_name_everything_that_can_be_asked_for(monkeypatch, capsys):
-    _, out, _ = run(monkeypatch, capsys, "scenarios", "--json")
-    assert {row["scenario"] for row in json.loads(out)["rows"]} == {
-        "triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine",
-        "random-drive",
-    }  # fmt: skip
-    _, out, _ = run(monkeypatch, capsys, "vehicles", "--json")
-    names = {row["name"] for row in json.loads(out)["rows"]}
-    assert {"paper", "midsize-sedan", "magic-formula", "constant-stiffness", "passenger-car"} <= names
+    _, out, _ = run(monkeypatch, capsys, "list", "--json")
+    names = {row["kind"]: row["names"].split(", ") for row in json.loads(out)["rows"]}
+    assert {"triple-lane-change", "random-drive"} <= set(names["scenarios"])
+    assert {"paper", "midsize-sedan"} <= set(names["cars"])
+    assert {"quick", "standard", "full"} <= set(names["comparisons"])
+    assert set(names["schedules"]) == set(list_schedulers())
+    for kind in names:
+        _, out, _ = run(monkeypatch, capsys, "list", kind, "--json")
+        assert ", ".join(row["name"] for row in json.loads(out)["rows"]) == ", ".join(names[kind])
 
 
 def test_help_and_version_come_from_the_module_run_as_a_program():

@@ -1,4 +1,4 @@
-"""The commands around schedulers: paper adapt, paper evaluate, certify, schedulers, paper train."""
+"""The commands around schedulers: paper adapt, paper evaluate, certify, paper train."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from adaptrack.analysis.feasibility import feasibility
 from adaptrack.base.errors import AdaptrackError
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.controllers.informed import informed_tuning
-from adaptrack.control.scheduling import Constant, list_schedulers
+from adaptrack.control.scheduling import Constant
 from adaptrack.paper import adaptation, evaluation, learning_task
 from small_chain import EFFORT, learned, write
 
@@ -56,7 +56,7 @@ def places(tmp_path):
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("adapt van", ["--out"]),
+        ("tune van", ["--out"]),
         ("paper adapt road-sobl --out {out}", ["no campaign is named 'road-sobl'", "Did you mean 'road-sobol'"]),
         ("paper adapt nowhere.toml --out {out}", ["nowhere.toml", "cannot be read"]),
         ("paper adapt paper-grid --out {out}", ["paper-grid", "Sobol"]),
@@ -89,7 +89,7 @@ def places(tmp_path):
         ("paper train --model nn --out {out}/nn.json", ["--data"]),
         ("paper train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
         ("paper train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
-        ("schedulers --jason", ["--jason"]),
+        ("list --jason", ["--jason"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, places, command, words):
@@ -104,13 +104,13 @@ def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, c
     assert places["file"].stat().st_size == before
 
 
-@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "certify", "schedulers", "paper train"])
+@pytest.mark.parametrize("command", ["paper adapt", "paper evaluate", "certify", "paper train"])
 def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     options = {
         "paper adapt": ["--out", "CAMPAIGN", "--workers"],
         "paper evaluate": ["--scheduler", "--operating-points", "--known-as", "--tests"],
         "certify": ["--profile", "--vehicle", "--feasible", "--mismatch", "--out"],
-        "schedulers": [], "paper train": ["--data", "--model", "--targets"],
+        "paper train": ["--data", "--model", "--targets"],
     }[command]  # fmt: skip
     shown = "--help-all" if command in ("paper adapt", "paper evaluate", "certify") else "--help"
     code = (
@@ -129,19 +129,6 @@ def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(monkeypat
 
 
 # -- what is right is done --------------------------------------------------------------------------------------------
-def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
-    code, out, _ = run(monkeypatch, capsys, "schedulers", "--json")
-    rows = strict(out)["rows"]
-    assert code == 0
-    assert [row["name"] for row in rows] == list_schedulers()
-    assert {(row["car"], row["profile"]) for row in rows} == {("paper", "road")}
-    inputs = {row["name"]: row["inputs"] for row in rows}
-    assert inputs["road-nn"] == ", ".join(learning_task.LEARNED_INPUTS)
-    code, out, _ = run(monkeypatch, capsys, "schedulers")
-    assert code == 0
-    assert all(name in out for name in list_schedulers())
-
-
 @pytest.mark.compiled
 def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
     monkeypatch, capsys, tmp_path, tmp_path_factory, places

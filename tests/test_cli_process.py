@@ -146,7 +146,7 @@ def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(monkeypatch, c
     hook = sys.unraisablehook
     monkeypatch.setattr(cli, "REPEAT", 0.05)
     monkeypatch.setattr(scenario, "list_scenarios", release)
-    assert run(monkeypatch, capsys, "scenarios") == (130, "", "adaptrack: interrupted. Nothing was written.\n")
+    assert run(monkeypatch, capsys, "list", "scenarios") == (130, "", "adaptrack: interrupted. Nothing was written.\n")
     assert sys.unraisablehook is hook
 
 
@@ -158,7 +158,7 @@ def test_an_end_of_file_within_a_command_is_no_ctrl_c(monkeypatch, capsys):
 
     monkeypatch.setattr(scenario, "list_scenarios", torn)
     with pytest.raises(typer.Abort) as found:  # a fault, with its traceback
-        run(monkeypatch, capsys, "scenarios")
+        run(monkeypatch, capsys, "list", "scenarios")
     assert isinstance(found.value.__cause__, EOFError)
 
 
@@ -168,12 +168,12 @@ def test_no_command_asks_matplotlib_for_a_window_system(monkeypatch, capsys):
     seen = []
     monkeypatch.setenv("MPLBACKEND", "nonsense")  # the import of matplotlib would refuse it
     monkeypatch.setattr(scenario, "list_scenarios", lambda: seen.append(os.environ.get("MPLBACKEND")) or {})
-    assert run(monkeypatch, capsys, "scenarios")[0] == 0
+    assert run(monkeypatch, capsys, "list", "scenarios")[0] == 0
     assert seen == [None]
 
 
 # -- standard output --------------------------------------------------------------------------------------------------
-COMMANDS = [["--help"], ["--version"], ["scenarios"], ["scenarios", "--json"], ["evaluate", "--help"]]
+COMMANDS = [["--help"], ["--version"], ["list"], ["list", "--json"], ["compare", "--help"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -197,7 +197,7 @@ def test_a_reader_that_has_gone_ends_the_command_quietly_with_exit_code_141(comm
 
 
 def test_a_closed_standard_output_is_one_sentence_and_exit_code_2():
-    command = f"exec {sys.executable} -m adaptrack scenarios >&-"
+    command = f"exec {sys.executable} -m adaptrack list >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("adaptrack: standard output is closed")
@@ -207,6 +207,6 @@ def test_a_closed_standard_output_is_one_sentence_and_exit_code_2():
 def test_text_that_the_terminal_cannot_show_is_escaped():
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
-        [sys.executable, "-m", "adaptrack", "scenarios"], capture_output=True, env=environment, timeout=60, check=False
+        [sys.executable, "-m", "adaptrack", "list"], capture_output=True, env=environment, timeout=60, check=False
     )
     assert (done.returncode, done.stderr) == (0, b"")

@@ -1,4 +1,4 @@
-"""Side-by-sides: same roads, noise and effort for all; ranks only where intervals part; interrupted ones go on."""
+"""Comparisons: same roads, noise and effort for all; ranks only where intervals part; interrupted ones continue."""
 
 from __future__ import annotations
 
@@ -11,19 +11,27 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, UnknownName
+from adaptrack.base.errors import AdaptrackError, InvalidInput, MissingExtra, UnknownName
+from adaptrack.base.statistics import ratio
 from adaptrack.cars.plant import DualTrack
+from adaptrack.comparison import run as study
 from adaptrack.comparison.cells import run_cell
-from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
-from adaptrack.comparison.statistics import ratio
+from adaptrack.comparison.config import (
+    Cell,
+    ComparisonConfig,
+    Setting,
+    list_comparisons,
+    load_comparison,
+    load_drive,
+    load_setting,
+)
+from adaptrack.comparison.run import run_comparison
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
-from adaptrack.control.controllers import MPC, About, about_controller, list_controllers, registry
+from adaptrack.control.controllers import MPC, About, list_controllers, registry
 from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
-from adaptrack.studies import compare as study
-from adaptrack.studies.compare import list_comparisons, load_comparison, run_comparison
 
 TINY: dict[str, Any] = {
     "name": "tiny", "contenders": ["informed", "pure-pursuit"], "cars": ["paper"], "profiles": ["road"],
@@ -72,14 +80,6 @@ def test_the_interval_of_a_ratio_holds_the_truth_about_as_often_as_it_says():
     assert hits >= 51  # 85 % of 60; drawing the 96 pairs as if they were independent gives half of that
 
 
-def test_drawing_pairs_alone_would_give_far_too_narrow_an_interval():
-    rng = np.random.default_rng(2)
-    values = np.exp(rng.normal(0.0, 0.5, (8, 1)) + np.zeros((8, 12)))
-    found = ratio(values, np.ones((8, 12)))
-    pairs = ratio(values.ravel(), np.ones(96))
-    assert math.log(found.high / found.low) > 2.0 * math.log(pairs.high / pairs.low)
-
-
 def test_only_contenders_whose_intervals_part_have_different_ranks():
     rng = np.random.default_rng(3)
     base = rng.normal(size=(5, 8))
@@ -125,13 +125,14 @@ def test_contenders_that_drove_nothing_in_common_have_no_ratio():
         ({"contenders": ["informd"]}, "informed"),
         ({"contender": ["informed"]}, "contender"),
         ({"cars": []}, "cars"),
+        ({"contenders": ["nowhere.toml"]}, "cannot be read"),
     ],
 )
 def test_a_comparison_that_cannot_be_fair_is_refused_with_the_key(changes: dict[str, Any], words: str, tmp_path: Path):
     from adaptrack.base.files import write_toml
 
     write_toml(tmp_path / "mine.toml", {**TINY, **changes})
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(AdaptrackError, match=words):
         load_comparison(tmp_path / "mine.toml")
 
 
@@ -146,29 +147,6 @@ def test_the_shipped_comparisons_can_be_loaded_and_name_what_is_there():
         load_comparison("standart")
 
 
-def test_the_standard_comparison_is_as_large_as_a_fair_one_has_to_be():
-    task = load_comparison("standard")
-    assert len(task.contenders) >= 9
-    assert len(task.cars) >= 6
-    assert len(task.roads) >= 12
-    assert len(task.profiles) == 3
-    assert len(task.seeds) == 5
-
-
-def test_contenders_in_python_may_drive_fewer_roads():
-    slow = About("in Python", compiled=False)
-    task = tiny(roads=["country:1", "country:2"], slow_roads=["country:2"], slow_seeds=[1])
-    assert task.of(slow).roads == ("country:2",)
-    assert task.of(slow).seeds == (1,)
-    assert task.of(about_controller("informed")) is task
-
-
-@pytest.mark.parametrize("name", ["country:x", "country:-1"])
-def test_a_road_whose_seed_is_no_number_is_named(name: str):
-    with pytest.raises(InvalidInput, match="whole number"):
-        load_drive(name, at.load_vehicle("paper"), 300.0, 10.0)
-
-
 def test_a_road_can_be_driven_faster():
     car = at.load_vehicle("paper")
     usual, fast = (load_drive(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
@@ -178,7 +156,7 @@ def test_a_road_can_be_driven_faster():
     assert fast.name == "lap:1@6"
 
 
-def test_a_car_is_given_with_its_plant(tmp_path: Path):
+def test_a_car_is_loaded_with_its_plant(tmp_path: Path):
     assert load_setting("paper/single-track", "road").plant.name == "single-track"
     assert load_setting("paper", "road").plant.name == "dual-track"
     (tmp_path / "cars").mkdir()
@@ -188,6 +166,8 @@ def test_a_car_is_given_with_its_plant(tmp_path: Path):
     assert load_setting(f"{mine}/single-track", "road").plant.name == "single-track"
     with pytest.raises(InvalidInput, match=r"must be a name or a \.toml file"):
         load_setting("paper/single-track/again", "road")
+    with pytest.raises(InvalidInput, match="whole number"):
+        load_drive("country:x", at.load_vehicle("paper"), 300.0, 10.0)
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------
@@ -265,27 +245,26 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
 
 
 @pytest.mark.compiled
-def test_the_page_opens_with_who_is_first_and_every_run_is_in_the_table(tmp_path: Path):
+def test_the_command_writes_a_page_and_every_run(tmp_path: Path):
     import pyarrow.parquet as pq
-
-    from adaptrack.results import write_result
-    from adaptrack.results.side_by_side import side_by_side_result
-
-    made = run_comparison(tiny(contenders=["informed", "pure-pursuit", "nn"]), tmp_path)
-    page = write_result(tmp_path, side_by_side_result(made, command="adaptrack compare")).read_text()
-    assert page.index("first; best of the others") < page.index("<table")
-    for name in ("informed, tuned", "pure-pursuit, default", "nn"):
-        assert name in page
-    assert pq.read_table(tmp_path / study.TABLE).num_rows == 2 * (2 + 2 + 1)
-
-
-def test_one_comparison_at_a_time_is_asked_for(tmp_path: Path):
     from typer.testing import CliRunner
 
+    from adaptrack.base.files import write_toml
     from adaptrack.cli.app import app
 
-    result = CliRunner().invoke(app, ["compare", "--quick", "--standard", "--out", str(tmp_path)])
-    assert isinstance(result.exception, InvalidInput | ConfigError)
-    assert "--out FOLDER" in str(CliRunner().invoke(app, ["compare", "--quick"]).exception)
-    listed = CliRunner().invoke(app, ["compare", "--list", "--json"])
-    assert {row["contender"] for row in json.loads(listed.stdout)["rows"]} == set(list_controllers())
+    write_toml(
+        tmp_path / "tiny.toml", TINY | {"contenders": ["informed", "pure-pursuit", "nn"], "cars": ["paper", "van"]}
+    )
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["compare", "--config", str(tmp_path / "tiny.toml"), "--out", str(out), "--json"])
+    assert done.exit_code == 0, done.exception
+    result = json.loads(done.stdout)
+    rows = result["profiles"]["road"]
+    assert [row["rank"] for row in rows] == sorted(row["rank"] for row in rows)
+    assert {row["label"]: row["runs"] for row in rows}["nn"] == 2, "it was made for the paper's car"
+    assert [(cell["contender"], cell["car"]) for cell in result["left_out"]] == [("nn", "van")]
+    page = (out / "index.html").read_text()
+    headline = f"{rows[0]['label']}; 0 of {sum(row['runs'] for row in rows)} runs failed."
+    assert page.index(headline) < page.index("<table")
+    assert "was made for the car" in page
+    assert pq.read_table(out / study.TABLE).num_rows == 2 * (2 * 4 + 1)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput, UnknownName
+from adaptrack.base.statistics import RESAMPLES, geometric_mean
 from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender, get_contender, list_contenders
-from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
 from adaptrack.comparison.table import Comparison, Role, finite
 from adaptrack.control.controllers import (
     LQR,

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.comparison.statistics import geometric_mean
+from adaptrack.base.statistics import geometric_mean
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Learned, Number, SchedulingVariables
 from adaptrack.paper import improvement

@@ -85,14 +85,16 @@ def test_a_newcomers_controller_and_plant_are_admitted_and_drive(run):
 
 
 def test_it_is_tuned_within_its_bounds_and_compared_with_others(run):
-    found = run("tune", *ROAD, *OWN, "--controller", "heading-law", "--runs", 10, "--noise-seeds", 1)
-    assert 0.02 <= found["entries"]["gain"] <= 0.5
-    assert found["cost"] <= found["default_cost"]
-    rows = run("evaluate", *ROAD, *OWN, "--contender", "informed", "--contender", "heading-law",
-               "--tuning", "tuning.toml", "--noise-seeds", 1)["rows"]  # fmt: skip
-    assert [row["contender"] for row in rows] == ["informed", "heading-law", "heading-law, tuning"]
+    result = run("tune", "paper", "--road", *ROAD, *OWN, "--controller", "heading-law", "--runs", 20, "--out", "tuned")
+    assert 0.02 <= result["entries"]["gain"] <= 0.5
+    assert result["cost"] <= result["default_cost"]
+    rows = run("compare", *ROAD, "--vehicle", "paper/bicycle", "--plugin", "newcomers_module", "--controller",
+               "informed", "--controller", "heading-law", "--tuning", "tuned/tuning.toml",
+               "--seeds", 1)["profiles"]["road"]  # fmt: skip
+    labels = {"informed, default", "heading-law, default", "heading-law, tuned/tuning.toml"}
+    assert {row["label"] for row in rows} == labels
     assert all(np.isfinite(row["rms_error"]) for row in rows)
-    (driven,) = run("drive", *ROAD, *OWN, "--tuning", "tuning.toml")["rows"]
+    (driven,) = run("drive", *ROAD, *OWN, "--tuning", "tuned/tuning.toml")["rows"]
     assert driven["controller"] == "heading-law, tuning"
 
 
@@ -100,7 +102,7 @@ def test_it_takes_part_in_a_comparison_on_cars_and_roads_with_a_page(run):
     Path("mine.toml").write_text(
         'contenders = ["pure-pursuit", "heading-law"]\ncars = ["paper/bicycle", "paper/single-track"]\n'
         'profiles = ["road"]\ntraining = ["country:101"]\nroads = ["country:1"]\nlength = 120.0\n'
-        "training_length = 110.0\nseeds = [0]\nbudget = 10\nslow_budget = 10\nentry_speeds = false\n"
+        "training_length = 110.0\nseeds = [0]\nbudget = 10\nentry_speeds = false\n"
     )
     made = run("compare", "--config", "mine.toml", "--plugin", "newcomers_module", "--out", "compared")
     labels = {row["label"]: row for row in made["profiles"]["road"]}

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 import adaptrack as at
+from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
-from adaptrack.comparison.statistics import block_rms
 from adaptrack.core.estimators.learning import BELIEFS, memory_of
 from adaptrack.identification.instants import ReadLog
 from adaptrack.results.console import print_result

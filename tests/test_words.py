@@ -33,7 +33,7 @@ IDENTIFIERS = {"body": "plant", "bodies": "plants", "who": "options, contender"}
 """Words that are coined as names in code alone: a car has a body, and prose says who."""
 
 MEANT = {
-    "lead": {"docs/opponents.md": 1, "docs/learning.md": 1},
+    "lead": {"docs/peers.md": 1, "docs/learning.md": 1},
     "asked": {"docs/campaign.md": 1},
     "told": {"src/adaptrack/cli/evaluate_schedules.py": 1},
     "body": {

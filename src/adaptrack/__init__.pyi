@@ -127,7 +127,7 @@ from .scenario import (
     random_drive as random_drive,
 )
 from .scenario.profile import Profile as Profile, list_profiles as list_profiles, load_profile as load_profile
-from .studies.shadow import shadow as shadow
-from .studies.tune_car import tune as tune
+from .identification.shadow import shadow as shadow
+from .tuning.car import tune as tune
 
 __version__: str

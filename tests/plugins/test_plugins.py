@@ -30,7 +30,9 @@ def test_plugins_import_the_contracts_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["drive country --length 100", "tune country --length 100 --runs 20"])
+@pytest.mark.parametrize(
+    "command", ["drive country --length 100", "tune paper --road country --length 100 --runs 20 --out tuned"]
+)
 def test_commands_drive_a_controller_of_a_plugin(tmp_path, command):
     line = [*command.split(), "--plugin", "mppi", "--controller", "mppi", "--json"]
     environment = {**os.environ, "PYTHONPATH": str(FOLDER)}

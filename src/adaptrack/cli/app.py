@@ -8,19 +8,16 @@ import typer
 
 from adaptrack import __version__
 from adaptrack.cli import (
-    adapt,
     car,
     certify,
     check_loop,
     compare,
     drive,
-    evaluate,
     export,
     export_fmu,
     export_page,
     identify,
-    lists,
-    manoeuvre,
+    list_names,
     paper,
     road,
     shadow,
@@ -31,9 +28,8 @@ app = typer.Typer(
     name="adaptrack",
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
     epilog="Begin with: adaptrack drive country --out drive. Which controller, which profile, what to measure first: "
-    "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven, criteria of a "
-    "standard that are not met; 2 an error; 3 a run failed, an identification is not consistent, a belief is not "
-    "believable, inputs contradict each other; 130 Ctrl-C.",
+    "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven; 2 an error; 3 a "
+    "run failed, an identification is not consistent, a belief is not believable, inputs contradict; 130 Ctrl-C.",
     no_args_is_help=True,
     rich_markup_mode=None,
     add_completion=False,
@@ -63,18 +59,13 @@ for command in (
     identify.identify,
     shadow.shadow,
     check_loop.check_loop,
-    manoeuvre.manoeuvre,
-    lists.scenarios,
-    lists.vehicles,
     car.car,
     tune.tune,
-    adapt.adapt,
     certify.certify,
-    evaluate.evaluate,
     compare.compare,
-    lists.schedulers,
 ):
     app.command()(command)
+app.command("list")(list_names.list_names)
 app.add_typer(paper.app, name="paper")
 export.app.command("fmu")(export_fmu.export_fmu)
 export.app.command("page")(export_page.export_page)

@@ -40,7 +40,7 @@ class CarOptions:
     """Options of `adaptrack car`."""
 
     name: Annotated[
-        str | None, typer.Argument(metavar="[CAR]", help="Name (see `vehicles`) or .toml file of a car to show.")
+        str | None, typer.Argument(metavar="[CAR]", help="Name (see `list cars`) or .toml file of a car to show.")
     ] = None
     mass: Annotated[
         float | None, Option("--mass", metavar="KG", help="Of the data sheet; with --wheelbase, a new car.")

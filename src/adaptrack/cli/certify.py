@@ -45,7 +45,7 @@ class CertifyOptions:
 
     scheduler: Annotated[
         str | None,
-        typer.Argument(help="Name (see `schedulers`) or .json file (see `train`); none: the controller's constant."),
+        typer.Argument(help="Name (see `list schedules`) or .json file; none: the controller's constant."),
     ] = None
     controller: Annotated[
         str | None,

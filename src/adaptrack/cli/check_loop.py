@@ -23,7 +23,7 @@ class CheckLoopOptions:
 
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Of Tracker(record=...), or any that `identify` reads.")]
     vehicle: Annotated[
-        str | None, Option("--vehicle", metavar="CAR", help="Name (see `vehicles`) or .toml file, for sizes.")
+        str | None, Option("--vehicle", metavar="CAR", help="Name (see `list cars`) or .toml file, for sizes.")
     ] = None
     log_columns: ColumnOptions
     as_json: options.Json = False

@@ -1,133 +1,176 @@
-"""`adaptrack compare`: controllers x cars x roads x profiles, all tuned with the same effort; one table, one page."""
+"""`adaptrack compare`: controllers x cars x roads x profiles with the same noise and the same effort of tuning."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
+from adaptrack.cli.road import ROADS
 
 if TYPE_CHECKING:
-    from adaptrack.studies.compare import Compared
+    from adaptrack.base.result import Result
+    from adaptrack.comparison.config import ComparisonConfig
+    from adaptrack.comparison.run import Compared
+
+
+class LaneChangeName(StrEnum):
+    """Lane changes of ISO 3888."""
+
+    iso3888_1 = "iso3888-1"
+    iso3888_2 = "iso3888-2"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions:
     """Options of `adaptrack compare`."""
 
-    out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Of the page and all runs; an interrupted one goes on.")
-    ] = None
-    quick: Annotated[bool, Option("--quick", help="Two cars, four roads, one profile: minutes [default].")] = False
-    standard: Annotated[bool, Option("--standard", help="Six cars, twelve roads, three profiles.")] = False
-    full: Annotated[bool, Option("--full", help="The same with 1,000 closed loops and those in Python: hours.")] = False
-    config: Annotated[
-        Path | None, Option("--config", metavar="FILE", help="TOML file of a comparison of your own.")
-    ] = None
-    contender: Annotated[
-        list[str] | None, Option("--contender", metavar="NAME", help="Only these; `--list` names them.")
-    ] = None
-    car: Annotated[
-        list[str] | None, Option("--car", metavar="CAR[/PLANT]", help="Only these: name or .toml file, with its plant.")
-    ] = None
     road: Annotated[
         list[str] | None,
-        Option("--road", metavar="ROAD", help="Judged on these: country:3, lap:1@6, random-drive:3, scenario, file."),
+        typer.Argument(
+            metavar="ROAD", show_default=False,
+            help=f"Roads of the judgement: country:3, lap:1@6, random-drive:3, a scenario, {ROADS}",
+        ),
+    ] = None  # fmt: skip
+    controller: Annotated[
+        list[str] | None, Option("--controller", metavar="NAME", help="See `list controllers`; several.")
     ] = None
-    profile: Annotated[list[str] | None, Option("--profile", metavar="NAME", help="Only in these.")] = None
+    tuning: Annotated[
+        list[str] | None,
+        Option("--tuning", metavar="FILE", help="Also the controller in this file of `tune`; several."),
+    ] = None
+    vehicle: Annotated[
+        list[str] | None,
+        Option("--vehicle", metavar="CAR[/PLANT]", help="See `list cars`, or a .toml file, with its plant; several."),
+    ] = None
+    profile: Annotated[
+        list[str] | None, Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; several.")
+    ] = None
+    budget: Annotated[
+        int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: default tunings only.")
+    ] = None
+    length: Annotated[
+        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+    ] = None
     seeds: Annotated[
         int | None, Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of the judgement.")
     ] = None
-    budget: Annotated[
-        int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: defaults alone.")
-    ] = None
-    dask: Annotated[
+    config: Annotated[
         str | None,
-        Option("--dask", metavar="ADDRESS", hidden=True, help="Dask scheduler whose workers drive (extra `cluster`)."),
+        Option(
+            "--config", metavar="NAME",
+            help="quick, standard, full, or a .toml file; by default roads if roads are given, otherwise quick.",
+        ),
+    ] = None  # fmt: skip
+    lane_change: Annotated[
+        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change, no roads.")
     ] = None
-    names: Annotated[bool, Option("--list", help="Name the contenders, and drive nothing.")] = False
+    out: Annotated[
+        Path | None, Option("--out", metavar="FOLDER", help="Of the page and all runs; the same command continues.")
+    ] = None
     plugin: options.Plugin = None
     as_json: options.Json = False
 
     @property
-    def of(self) -> str | Path:
-        """The chosen comparison, by name or file."""
-        sizes = (("quick", self.quick), ("standard", self.standard), ("full", self.full))
-        chosen: list[str | Path] = [name for name, wanted in sizes if wanted]
-        chosen += [] if self.config is None else [self.config]
-        if len(chosen) > 1:
-            raise InvalidInput("compare: give one of --quick, --standard, --full and --config.")
-        return chosen[0] if chosen else "quick"
-
-    @property
     def changes(self) -> dict[str, Any]:
-        """The fields of the comparison that are other than its own."""
-        given = {
-            "contenders": self.contender, "cars": self.car, "roads": self.road, "profiles": self.profile,
+        """The fields that replace those of the configuration."""
+        values = {
+            "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
         }  # fmt: skip
-        return {key: value for key, value in given.items() if value is not None}
+        return {key: value for key, value in values.items() if value is not None}
 
 
 @options.grouped
-def compare(given: CompareOptions) -> None:
-    """Compare controllers on cars, roads and profiles.
+def compare(settings: CompareOptions) -> None:
+    """Compare controllers on roads, cars and profiles.
 
-    The same noise, the same effort of tuning, unseen roads. Each contender drives with its default and with a tuning
-    that a search found on training roads; a schedule brings its own. Ranks differ only where the intervals part. Failed
-    runs are counted in the table; the exit code is 0.
+    Same roads, noise and effort of tuning for all: default tunings, and with a budget also those that a search found on
+    training roads. Ranks differ only where the intervals part. Failed runs are counted in the table, with exit code 0.
+    With --lane-change: the highest entry speed at which no cone is touched.
     """
     from adaptrack.results.page import write_result
-    from adaptrack.results.side_by_side import side_by_side_result
-    from adaptrack.studies.compare import TABLE, load_comparison, run_comparison
 
-    options.load_plugins(given.plugin)
-    if given.names:
-        _list(given.as_json)
-        return
-    name, out = given.of, given.out
-    if out is None:
-        raise InvalidInput("compare: give --out FOLDER, for the page and all runs.")
-    task = load_comparison(name, **given.changes)
-    options.make_folder(out)
-    cells = task.cells
-    loops, hours = sum(map(task.loops, cells)), show.duration(max(60.0, task.seconds(cells)))
-    size = f"{len(cells)} cells, about {loops:,} closed loops, roughly {hours} of one core"
+    options.load_plugins(settings.plugin)
+    options.make_page_folder(settings.out)
+    result = _compare_on_roads(settings) if settings.lane_change is None else _compare_lane_change(settings)
+    page = None if settings.out is None else write_result(settings.out, result)
+    show.say_result(result, settings.as_json, page)
+
+
+# -- roads ------------------------------------------------------------------------------------------------------------
+def _compare_on_roads(settings: CompareOptions) -> Result:
+    from adaptrack.comparison.run import run_comparison
+    from adaptrack.results.compare import compare_result
+
+    task = _load_task(settings)
+    loops, seconds = sum(map(task.loops, task.cells)), max(60.0, task.seconds(task.cells))
+    size = f"{len(task.cells)} cells, about {loops:,} closed loops, roughly {show.duration(seconds)} of one core"
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
-    interrupt.kept(f"What was driven is kept; the same command with --out {out} goes on.")
+    if settings.out is None:
+        interrupt.kept("Nothing is kept without --out.")
+    else:
+        interrupt.kept(f"Finished cells are kept; the same command with --out {settings.out} continues.")
     with show.progress("compare") as advance:
-        made = run_comparison(task, out, dask=given.dask, progress=advance)
-    result = side_by_side_result(made, command=options.command_line(), next_step=next_line(*_next(made)))
-    with show.progress("write the page"):
-        page = write_result(out, result)
-    files = {"page": str(page), "table": str(out / TABLE)}
-    result = replace(result, record={**result.record, **files}, notes=[*result.notes, f"every run is in {out / TABLE}"])
-    show.say_result(result, given.as_json, page)
+        compared = run_comparison(task, settings.out, progress=advance)
+    return compare_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
 
 
-def _next(made: Compared) -> tuple[str, str]:
-    """With the controller of the least error in the last profile: drive it, or tune it for one's own road."""
+def _load_task(settings: CompareOptions) -> ComparisonConfig:
+    """The configuration with the replacements of the command line."""
+    from adaptrack.comparison.config import load_comparison
+
+    name, changes = settings.config or ("roads" if settings.road else "quick"), settings.changes
+    if settings.controller or settings.tuning:
+        controllers = settings.controller or load_comparison(name, **changes).contenders
+        changes["contenders"] = [*controllers, *(settings.tuning or ())]
+    return load_comparison(name, **changes)
+
+
+def _next_step(compared: Compared) -> tuple[str, str]:
+    """Drive or tune the controller with the smallest error in the last profile."""
     from adaptrack.comparison.views import standing_rows
 
-    profile, table = list(made.by_profile.items())[-1]
-    best = standing_rows(table)[0]
-    where = ("ROAD", "--controller", best["contender"], "--profile", profile, "--vehicle", "CAR")
+    profile, comparison = list(compared.by_profile.items())[-1]
+    best = standing_rows(comparison)[0]
+    where = "--controller", best["contender"], "--profile", profile
     if best["tuning"] == "tuned":
-        return "for roads and a car of your own", command("tune", *where)
-    return "on a road and with a car of your own", command("drive", *where)
+        return "tune it for your roads and car", command("tune", "CAR", "--road", "ROAD", *where, "--out", "tuned")
+    return "drive it on your road and car", command("drive", "ROAD", "--vehicle", "CAR", *where)
 
 
-def _list(as_json: bool) -> None:
-    from adaptrack.control.controllers import about_controller, list_controllers
+# -- lane changes -----------------------------------------------------------------------------------------------------
+def _compare_lane_change(settings: CompareOptions) -> Result:
+    from adaptrack.comparison.entry_speed import EntrySpeed, compare_entry_speeds
+    from adaptrack.results.lane_change import lane_change_result
 
-    rows = [
-        {"contender": name, "what": about_controller(name).words, "tuned": about_controller(name).tunable,
-         "compiled": about_controller(name).compiled}
-        for name in list_controllers()
-    ]  # fmt: skip
-    show.listing("Contenders", rows, as_json)
+    name = str(settings.lane_change)
+    unused = {
+        "ROAD": settings.road,
+        "--tuning": settings.tuning,
+        "--config": settings.config,
+        "--length": settings.length,
+        "--seeds": settings.seeds,
+        "--budget": settings.budget,
+    }
+    options_without_use = [option for option, value in unused.items() if value]
+    if options_without_use:
+        raise InvalidInput(
+            f"--lane-change {name}: {options_without_use[0]} has no use here: leave it out (--budget 0: do not tune)."
+        )
+    runs: list[EntrySpeed] = []
+    with show.progress(name) as advance:
+        for run in compare_entry_speeds(
+            name, settings.vehicle or ["paper"], settings.profile or ["road"], settings.controller,
+            tuned=settings.budget != 0, progress=advance,
+        ):  # fmt: skip
+            runs.append(run)
+    drive = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
+    return lane_change_result(name, runs, command=options.command_line(), next_step=next_line("drive a road", drive))

@@ -277,12 +277,13 @@ def _next_step(given: DriveOptions, places: Places, rows: Sequence[dict[str, Any
         return "to see the drive on a page", again("--out", "drive")
     if places.road is None:
         return "to drive a road", command("drive", "country", "--vehicle", given.car.vehicle)
-    road = (given.place.names[0], *given.place.route.words)
-    words = (*road, "--vehicle", given.car.vehicle, "--profile", places.profile.name)
+    road, setting = given.place.names[0], ("--profile", places.profile.name)
     if given.tuning:
-        return "to judge the tuning with other noise", command("evaluate", *words, "--tuning", given.tuning[0])
+        tuned = ("--vehicle", given.car.vehicle, *setting, "--tuning", given.tuning[0])
+        return "to judge the tuning with other noise", command("compare", road, *tuned)
     best = min(rows, key=lambda row: row["mse"])["controller"]
-    return f"to tune {best} for this road", command("tune", *words, "--controller", best, "--out", "tuning.toml")
+    chosen = (*setting, "--controller", best, "--out", "tuned")
+    return f"to tune {best} for this road", command("tune", given.car.vehicle, "--road", road, *chosen)
 
 
 def _slower(given: DriveOptions, road: CheckedRoad) -> tuple[str, str]:

@@ -55,8 +55,7 @@ class ExportedController:
 
     def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
         """The road, with its speed."""
-        seeds = None if self.road_seed is None else [self.road_seed]
-        return roads.RoadOptions(speed=self.speed, road_seed=seeds).look(self.road, car, world)
+        return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed).look(self.road, car, world)
 
     def make(self, car: Vehicle, world: Profile, computation: float | None = None) -> Controller:
         """The controller; computation: s, by default that of the profile.

@@ -29,7 +29,7 @@ class IdentifyOptions:
     ]
     car: Annotated[
         str | None,
-        Option("--car", metavar="CAR", help="What is believed of it: name (see `vehicles`) or .toml file."),
+        Option("--car", metavar="CAR", help="What is believed of it: name (see `list cars`) or .toml file."),
     ] = None
     mass: Annotated[float | None, Option("--mass", metavar="KG", help="Where there is no --car.")] = None
     wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Where there is no --car.")] = None

@@ -64,7 +64,7 @@ def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int 
     return check
 
 
-Vehicle = Annotated[str, Option("--vehicle", metavar="CAR", help="Name (see `vehicles`) or .toml file.")]
+Vehicle = Annotated[str, Option("--vehicle", metavar="CAR", help="Name (see `list cars`) or .toml file.")]
 Plant = Annotated[
     str,
     Option(

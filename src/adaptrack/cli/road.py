@@ -66,12 +66,7 @@ class RoadOptions:
         Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane, driven along the road (-1, ...)."),
     ] = None
     road_seed: Annotated[
-        list[int] | None,
-        Option(
-            "--road-seed",
-            metavar="N",
-            help="Generated: number of the road.",
-        ),
+        int | None, Option("--road-seed", metavar="N", help="Generated: which road, by default 0.")
     ] = None
     length: Annotated[float | None, Option("--length", metavar="M", help="Generated: length (m), by default 2000.")] = (
         None
@@ -86,11 +81,6 @@ class RoadOptions:
     ] = None
 
     @property
-    def named(self) -> list[str]:
-        """The options that are given, as one types them."""
-        return [word for word in self.words if word.startswith("--")]
-
-    @property
     def words(self) -> list[str]:
         """The options that are given, with their values, as one types them."""
         found: list[str] = []
@@ -100,14 +90,8 @@ class RoadOptions:
                 flag = flag if value or name != "closed" else "--open"
                 found.append(flag if value or name == "closed" else f"--no-{name}")
             elif value is not None:
-                for each in value if isinstance(value, list) else [value]:
-                    found += [flag, str(each)]
+                found += [flag, str(value)]
         return found
-
-    @property
-    def each(self) -> list[RoadOptions]:
-        """The same for one seed of a generated road at a time."""
-        return [replace(self, road_seed=[seed]) for seed in dict.fromkeys(self.road_seed or ())] or [self]
 
     def look(
         self, name: str, car: Vehicle, profile: str | Profile = "road", kept: HoldableSpeed | None = None
@@ -119,7 +103,7 @@ class RoadOptions:
         Raises
         ------
         InvalidInput
-            When a speed comes with a column of speeds or an acceleration, or there are several seeds.
+            When a speed comes with a column of speeds or an acceleration.
         """
         from adaptrack.road import Comfort, check_road, load_road, plan_speed
         from adaptrack.road.speed import constant_speed, speed_limit_plan
@@ -128,11 +112,9 @@ class RoadOptions:
             raise InvalidInput("give either --speed or --lateral-acceleration.")
         if self.speed is not None and self.speed_column is not None:
             raise InvalidInput("give either --speed or --speed-column.")
-        if len(self.road_seed or ()) > 1:
-            raise InvalidInput("--road-seed: give one.")
         known = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
-            "seed": self.road_seed[0] if self.road_seed else None, "length": self.length,
+            "seed": self.road_seed, "length": self.length,
             "speed_column": self.speed_column,
         }  # fmt: skip
         road = load_road(name, **{key: value for key, value in known.items() if value is not None})

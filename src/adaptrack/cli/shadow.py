@@ -15,7 +15,7 @@ from adaptrack.cli.next_step import again, command, next_line
 from adaptrack.cli.options import FAILED
 
 if TYPE_CHECKING:
-    from adaptrack.studies.shadow import Shadow
+    from adaptrack.identification.shadow import Shadow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +49,9 @@ def shadow(given: ShadowOptions) -> None:
     What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would
     have warned of. Exit code 3 when the belief is not believable.
     """
+    from adaptrack.identification.shadow import shadow as run
     from adaptrack.results.page import write_result
     from adaptrack.results.shadow import shadow_result
-    from adaptrack.studies.shadow import shadow as run
 
     options.make_page_folder(given.out)
     with show.progress("shadow", len(given.log)) as advance:

@@ -1,146 +1,159 @@
-"""`adaptrack tune`: the constant tuning of a controller that is best on given roads."""
+"""`adaptrack tune`: the best constant tuning for a car, on random drives or on given roads."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Option
+import typer
+from typer import Argument, Option
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import interrupt, on_roads, options, show
-from adaptrack.cli.next_step import say_next
-from adaptrack.cli.road import RoadOptions
+from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.next_step import command, next_line
+from adaptrack.cli.road import ROADS
+from adaptrack.cli.simulate import FAILED
 
 if TYPE_CHECKING:
-    from adaptrack.control.controllers import Controller
-    from adaptrack.tuning.constant import Sought
+    from adaptrack.base.result import Result
 
-FIRST_SEED = 1000
-"""Noise seeds of a search count up from here, those of a judgement from 0: no tuning is judged on its own noise."""
+TUNING = "tuning.toml"
+"""The file of the tuning in the folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TuneOptions:
     """Options of `adaptrack tune`."""
 
-    road: on_roads.Roads = None
-    controller: Annotated[
-        str,
-        Option("--controller", metavar="NAME", help="Whose tuning is sought: any that `compare --list` calls tuned."),
-    ] = "informed"
-    car: options.CarAndPlant
+    car: Annotated[str, Argument(metavar="CAR", help="Name (see `list cars`) or .toml file.")]
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the tuning, and for the car's file.")]
+    road: Annotated[
+        list[str] | None,
+        Option(
+            "--road", metavar="ROAD", help=f"Tune on these instead of random drives: country:3, a scenario, {ROADS}"
+        ),
+    ] = None
     profile: options.Profile = "road"
-    route: RoadOptions
+    speed: Annotated[
+        str | None, Option("--speed", metavar="LOW..HIGH", help="Of random drives, m/s; by default the car's domain.")
+    ] = None
+    friction: Annotated[
+        str | None, Option("--friction", metavar="LOW..HIGH", help="Of random drives; by default the car's domain.")
+    ] = None
+    controller: Annotated[
+        str | None,
+        Option("--controller", metavar="NAME", help="On given roads: see `list controllers`; by default informed."),
+    ] = None
+    length: Annotated[
+        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+    ] = None
     runs: Annotated[
         int | None,
-        Option("--runs", metavar="N", min=1, help="Closed loops that the search may spend; by default 300 tunings."),
+        Option("--runs", metavar="N", min=1, help="On given roads: closed loops of the search, default 300 tunings."),
     ] = None
-    noise_seeds: Annotated[
-        int, Option("--noise-seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of each road.")
-    ] = 2
-    seed: Annotated[int, Option("--seed", hidden=True, min=0, help="Of the search.")] = 0
-    out: Annotated[Path, Option("--out", metavar="FILE", help="File of the tuning.")] = Path("tuning.toml")
-    config: Annotated[str | None, Option("--config", hidden=True, help="Gone: see `paper campaign`.")] = None
+    plant: options.Plant = "dual-track"
+    plugin: options.Plugin = None
     as_json: options.Json = False
 
 
 @options.grouped
-def tune(given: TuneOptions) -> None:
-    """Seek the best tuning of a controller on given roads.
+def tune(settings: TuneOptions) -> None:
+    """Find the best constant tuning for a car.
 
-    It is written for `drive --tuning`. Default and tuned are then driven with noise that the search did not see. Runs
-    that fail are counted; the exit code is 0. Campaigns over operating points: `adaptrack paper campaign`.
+    Without --road: the informed controller on random drives. First the speeds and frictions that can be held, then a
+    search, unseen drives and the certificate; the folder gets the car with the domain that can be held. The exit code
+    is 3 when an unseen drive fails or the certificate finds the loop unstable.
+
+    With --road: any controller on these roads; default and tuned are then driven with other noise. Failed runs are
+    counted, and the exit code is 0.
     """
-    if given.config is not None:
+    options.load_plugins(settings.plugin)
+    _check_options(settings)
+    options.make_folder(settings.out)
+    interrupt.kept("An interrupted search leaves nothing.")
+    result = _tune_on_roads(settings) if settings.road else _tune_car(settings)
+    show.say_result(result, settings.as_json)
+    if result.failed:
+        raise typer.Exit(FAILED)
+
+
+def _check_options(settings: TuneOptions) -> None:
+    """Refuse a road in place of the car, and options of the other kind of search."""
+    from adaptrack.road import KINDS
+
+    if settings.car in KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
         raise InvalidInput(
-            f"tune --config: a campaign has its own command: adaptrack paper campaign {given.config} --out DIR."
+            f"tune {settings.car}: is a road; name the car first: tune CAR --road {settings.car} --out FOLDER."
         )
-    roads = on_roads.named("tune", given.road, "for operating points: adaptrack paper campaign NAME --out DIR")
-    options.make_place(given.out)
-    setting = on_roads.RoadSetting.of(roads, given.route, given.car, given.profile, given.as_json)
-    _tune(given, setting, _tunable(setting, given.controller))
+    unused: dict[str, Any]
+    if settings.road:
+        unused, remedy = {"--speed": settings.speed, "--friction": settings.friction}, "leave out --road"
+    else:
+        unused, remedy = (
+            {"--controller": settings.controller, "--runs": settings.runs, "--length": settings.length},
+            "name roads with --road",
+        )
+    options_without_use = [option for option, value in unused.items() if value is not None]
+    if options_without_use:
+        raise InvalidInput(f"tune: {options_without_use[0]} has no use here: {remedy}.")
 
 
-def _tunable(setting: on_roads.RoadSetting, name: str) -> Controller:
-    """The controller, with its own tuning; refused where none is sought."""
-    from adaptrack.control.controllers import about_controller, list_controllers
-    from adaptrack.tuning.spaces import search_space
-
-    if not about_controller(name).tunable:
-        others = ", ".join(each for each in list_controllers() if about_controller(each).tunable)
-        raise InvalidInput(f"--controller {name}: its tuning is fixed; that of these can be sought: {others}.")
-    own = setting.controller(name)
-    search_space(own)  # one that says no bounds is refused before any work
-    return own
-
-
-def _tune(given: TuneOptions, setting: on_roads.RoadSetting, own: Controller) -> None:
-    """Search, write the file, and judge it beside the controller's own tuning with other noise."""
-    from adaptrack.comparison.contenders import Contender
-    from adaptrack.comparison.table import finite
-    from adaptrack.comparison.views import road_rows
-    from adaptrack.results.comparison_answers import of_tuning
-    from adaptrack.results.console import print_tables
-    from adaptrack.results.road_comparison import console_tables
-    from adaptrack.tuning.constant import seek_constant, swarm_within
-    from adaptrack.tuning.pso import SwarmSettings
-
-    name, runs = given.controller, setting.runs
-    seeds = range(FIRST_SEED, FIRST_SEED + given.noise_seeds)
-    each = len(runs) * len(seeds)
-    swarm = SwarmSettings() if given.runs is None else swarm_within(given.runs, each)
-    spent, begun = swarm.evaluations * each, time.perf_counter()
-    show.say(f"adaptrack: {swarm.evaluations} tunings of {name}, {spent:,} runs; {setting.title}", aside=True)
-    interrupt.kept("A search that is interrupted leaves nothing.")
-    with show.progress(f"tune {name}") as advance:
-        tell = partial(advance, f"tune {name}")
-        found = seek_constant(runs, own, swarm, noise_seeds=seeds, seed=given.seed, progress=tell)
-    seconds = time.perf_counter() - begun
-    _keep(given, setting, (found, own), seeds)
-    pair = [Contender("default", own), Contender("tuned", own.with_tuning(found.tuning))]
-    judged = setting.compare(pair, range(max(3, given.noise_seeds)), "default")
-    if given.as_json:
-        about = {"tuning": str(given.out), "controller": name, "entries": found.tuning, "better": found.better}
-        about |= {"belief": own.belief_at_first}
-        said = {key: value for key, value in vars(found).items() if key != "tuning"}
-        show.say_json(about | said | {"runs": spent, "seconds": seconds, "rows": finite(road_rows(judged))})
-        return
-    over = judged.ratio("tuned", "default")
-    show.say(of_tuning(name, over, found.better))
-    title = f"{name}, {setting.title}; {len(judged.seeds)} noise seeds that the search did not see"
-    print_tables(console_tables(judged, road_rows(judged), title))
-    if found.at_bounds:
-        show.say(f"At the end of what was searched: {', '.join(found.at_bounds)}.")
-    entries = ", ".join(f"{entry} {value:.4g}" for entry, value in found.tuning.items())
-    show.say(f"Tuning: {entries}\nFile: {given.out} ({seconds:,.0f} s)")
-    if own.belief is not None:
-        show.say(f"Belief: {own.belief_at_first}.")
-    say_next(*_next(given, found.better and over.verdict == "cheaper"))
-
-
-def _next(given: TuneOptions, gained: bool) -> tuple[str, str]:
-    """What to do with the tuning; or, where it gained nothing for sure, how to look further."""
-    where = on_roads.typed(given.road or (), given.route, given.car, given.profile)
-    if gained:
-        return "drive with it", f"adaptrack drive ROAD{where.car} --tuning {given.out}"
-    more = f"adaptrack tune {where.roads} OTHER-ROAD{where.car} --controller {given.controller}"
-    return "more roads may decide it", more
-
-
-def _keep(
-    given: TuneOptions, setting: on_roads.RoadSetting, result: tuple[Sought, Controller], seeds: Sequence[int]
-) -> None:
-    """Write a tuning's file."""
+def _tune_car(settings: TuneOptions) -> Result:
+    from adaptrack.results.tuning import tuned_car_result
+    from adaptrack.tuning.car import tune as tune_car
     from adaptrack.tuning.constant_file import ConstantTuning
 
-    found, own = result
+    speed, friction = _pair("--speed", settings.speed), _pair("--friction", settings.friction)
+    with show.progress("tune") as advance:
+        tuned = tune_car(
+            settings.car, settings.profile, plant=settings.plant, speed=speed, friction=friction, progress=advance
+        )
+    car, summary = tuned.controller.model.vehicle.replace(domain=tuned.domain), tuned.summary()
+    car_file, tuning_file = settings.out / f"{car.name}.toml", settings.out / TUNING
+    car.to_toml(car_file)
     ConstantTuning(
-        controller=given.controller, belief=own.belief_at_first, vehicle=setting.car.name, profile=setting.profile.name,
-        period=setting.profile.period, roads=tuple(str(drive.name) for drive in setting.runs.scenarios),
-        noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
-    ).holding(setting.car, setting.profile).to_toml(given.out)  # fmt: skip
+        controller="informed", vehicle=car.name, profile=tuned.profile.name, period=tuned.profile.period,
+        command=options.command_line(), belief=summary["belief"], tuning=summary["tuning"],
+    ).to_toml(tuning_file)  # fmt: skip
+    drive = command("drive", "ROAD", "--vehicle", car_file, "--profile", settings.profile, "--tuning", tuning_file)
+    files = {"car_file": str(car_file), "tuning_file": str(tuning_file)}
+    return tuned_car_result(tuned, files, next_line("drive with it", drive))
+
+
+def _tune_on_roads(settings: TuneOptions) -> Result:
+    from adaptrack.cars.plant import get_plant
+    from adaptrack.cars.vehicle import load_vehicle
+    from adaptrack.comparison.config import Setting
+    from adaptrack.comparison.tune_on_roads import tune_on_roads
+    from adaptrack.results.tuning import tuned_roads_result
+    from adaptrack.scenario.profile import load_profile
+
+    car = load_vehicle(settings.car)
+    setting = Setting(car, get_plant(settings.plant, car), load_profile(settings.profile))
+    name = settings.controller or "informed"
+    with show.progress(f"tune {name}") as advance:
+        tuned = tune_on_roads(
+            setting,
+            settings.road or (),
+            name,
+            length=settings.length or 2000.0,
+            loops=settings.runs,
+            command=options.command_line(),
+            progress=advance,
+        )
+    file = settings.out / TUNING
+    tuned.file.to_toml(file)
+    drive = command("drive", "ROAD", "--vehicle", settings.car, "--profile", settings.profile, "--tuning", file)
+    return tuned_roads_result(tuned, str(file), next_line("drive with it", drive))
+
+
+def _pair(option: str, text: str | None) -> tuple[float, float] | None:
+    """Two numbers from 5..25; None without the option."""
+    if text is None:
+        return None
+    try:
+        low, high = (float(number) for number in text.split(".."))
+    except ValueError:
+        raise InvalidInput(f"{option} {text}: must be LOW..HIGH, such as 5..25.") from None
+    return low, high

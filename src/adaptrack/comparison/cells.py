@@ -17,36 +17,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.plant import Plant, twin_of
+from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import Plant, SteppedPlant, twin_of
 from adaptrack.comparison.compare import check_fits
-from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
+from adaptrack.comparison.config import (
+    Cell,
+    ComparisonConfig,
+    Setting,
+    about_contender,
+    is_tuning_file,
+    load_drive,
+    load_setting,
+)
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
 from adaptrack.comparison.lane_change import iso_3888_2
 from adaptrack.comparison.measures import RUN, as_column, measure_runs
-from adaptrack.control.controllers import MPC, About, Controller, about_controller
+from adaptrack.comparison.table import label_of
+from adaptrack.control.controllers import MPC, About, Controller
 from adaptrack.road import Road
 from adaptrack.tuning.constant import seek_constant
+from adaptrack.tuning.constant_file import load_tuning
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import is_tunable
 
-MOST_PARTICLES = 20
-"""Of a search; with fewer tunings, so many that the swarm has some generations."""
+MAX_PARTICLES = 20
+"""Of a search; fewer for a small budget, so that the swarm has some generations."""
 
 
 @lru_cache(maxsize=4)
-def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, RunSet, RunSet]:
-    """What all controllers on a car in a profile share: the runs of the search and those of the judgement."""
+def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, RunSet | None, RunSet]:
+    """Setting, runs of the search (None without a budget) and runs of the judgement, shared by all controllers."""
     setting = load_setting(car, profile)
     mpc = MPC(setting.car, profile=setting.profile, preview=True)
-    made = []
-    searched = twin_of(setting.car) if setting.plant.costly else setting.plant
-    parts = (searched, task.training, task.training_length), (setting.plant, task.roads, task.length)
-    for plant, names, length in parts:
+
+    def load_runs(plant: Plant | SteppedPlant, names: Sequence[str], length: float) -> RunSet:
         drives = [load_drive(name, setting.car, length, task.duration) for name in names]
-        made.append(RunSet(plant, mpc, drives, setting.profile))
-    return setting, made[0], made[1]
+        return RunSet(plant, mpc, drives, setting.profile)
+
+    training = None
+    if task.budget:
+        plant = twin_of(setting.car) if setting.plant.costly else setting.plant
+        training = load_runs(plant, task.training, task.training_length)
+    return setting, training, load_runs(setting.plant, task.roads, task.length)
 
 
 @lru_cache(maxsize=4)
@@ -71,63 +85,80 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain JSON: `rows`, one for each run; `tunings`, `entry_speed` (m/s) by tuning; `not_entered`: why ISO 3888-2
-        was not driven; `loops` that the search took, `seconds`; `left_out`: why nothing was driven.
+        Plain JSON: `rows`, one for each run; `tunings`; `entry_speed` (m/s) by label; `not_entered`: why ISO 3888-2 was
+        not driven; `loops` of the search; `seconds`; `left_out`: why nothing was driven.
 
     Raises
     ------
     AdaptrackError
-        When the car, the profile or a road cannot be had.
+        When the car, the profile or a road cannot be loaded.
     """
     begun = time.perf_counter()
-    entry = about_controller(cell.contender)
-    task = task.of(entry)
+    entry = about_contender(cell.contender)
     setting, training, judged = _run_sets(task, cell.car, cell.profile)
-    if setting.plant.costly and task.costly_seeds:
-        task = task.replace(seeds=task.costly_seeds)
-    found: dict[str, Any] = {
-        "rows": [],
-        "tunings": {},
-        "entry_speed": {},
-        "not_entered": "",
-        "loops": 0,
-        "left_out": "",
-    }
+    result: dict[str, Any] = {
+        "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
+    }  # fmt: skip
     try:
-        own = setting.controller(cell.contender)
-        check_fits(Contender(cell.contender, own), judged)
+        controller, tuning = _make_controller(task, cell, setting)
+        check_fits(Contender(cell.contender, controller), judged)
     except (InvalidInput, MissingExtra) as error:
-        return found | {"left_out": str(error), "seconds": 0.0}
-    drivers: dict[str, Controller] = {"scheduled" if own.scheduler else "default": own}
-    if entry.tunable and is_tunable(own) and task.budget:
+        return result | {"left_out": str(error), "seconds": 0.0}
+    drivers = {tuning: controller}
+    if training is not None and entry.tunable and is_tunable(controller):
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
-        sought = seek_constant(training, own, swarm, noise_seeds=task.training_seeds)
-        found["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
-        drivers["tuned"] = own.with_tuning(sought.tuning)
-        found["tunings"] = {"default": sought.default, "tuned": sought.tuning}
+        best = seek_constant(training, controller, swarm, noise_seeds=task.training_seeds)
+        result["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
+        result["tunings"] = {"default": best.default, "tuned": best.tuning}
+        drivers["tuned"] = controller.with_tuning(best.tuning)
+    name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
     for tuning, driver in drivers.items():
-        about = {"contender": cell.contender, "tuning": tuning, "car": cell.car, "profile": cell.profile}
-        rows, _ = measure_runs(judged, driver, task.seeds, setting.car.outline)
-        found["rows"] += [
-            {**about, "road": road, "seed": seed, **{name: row[name] for name in KEPT}}
-            for road, driven in zip(task.roads, rows, strict=True)
-            for seed, row in zip(task.seeds, driven, strict=True)
-        ]
+        about = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
+        result["rows"] += [about | row for row in _judge(task, judged, driver, setting.car.outline)]
         try:
-            found["entry_speed"][tuning] = _entry_speed(task, cell, entry, driver)
+            result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, entry, driver)
         except InvalidInput as error:
-            found["not_entered"] = str(error)
-    return found | {"seconds": time.perf_counter() - begun}
+            result["not_entered"] = str(error)
+    return result | {"seconds": time.perf_counter() - begun}
 
 
-KEPT = ("cost", "failed", "reason", "failed_at", *RUN)
-"""Measures of a run that are kept."""
+def _judge(task: ComparisonConfig, judged: RunSet, driver: Controller, outline: Outline) -> list[dict[str, Any]]:
+    """One row for each run of the judgement: road, noise seed and `MEASURES`."""
+    return [
+        {"road": road, "seed": seed, **{name: row[name] for name in MEASURES}}
+        for road, runs in zip(task.roads, measure_runs(judged, driver, task.seeds, outline), strict=True)
+        for seed, row in zip(task.seeds, runs, strict=True)
+    ]
 
 
-def _swarm(budget: int, each: int) -> SwarmSettings:
-    """A swarm that spends at most so many closed loops; a tuning takes `each` of them."""
-    tunings = budget // each
-    particles = min(MOST_PARTICLES, max(5, round(math.sqrt(tunings))))
+def _make_controller(task: ComparisonConfig, cell: Cell, setting: Setting) -> tuple[Controller, str]:
+    """The controller of a cell before any search, and the name of its tuning: default, scheduled, or a file.
+
+    Raises
+    ------
+    InvalidInput
+        When the controller or its tuning was made for another car or profile, or was tuned on noise of the judgement.
+    """
+    if not is_tuning_file(cell.contender):
+        controller = setting.controller(cell.contender)
+        return controller, "scheduled" if controller.scheduler else "default"
+    file, profile = load_tuning(cell.contender), setting.profile
+    faults = file.mismatches(setting.car.name, profile.name, profile.period)
+    if set(file.noise_seeds) & set(task.seeds):
+        faults.append("was found with noise seeds of this comparison")
+    if faults:
+        raise InvalidInput(f"{cell.contender}: {'; '.join(faults)}.")
+    return file.make(setting.car, profile, profile.period, preview=True), cell.contender
+
+
+MEASURES = ("cost", "failed", "reason", "failed_at", *RUN)
+"""Measures of a run in the results."""
+
+
+def _swarm(budget: int, loops: int) -> SwarmSettings:
+    """A swarm that spends at most `budget` closed loops; a tuning takes `loops` of them."""
+    tunings = budget // loops
+    particles = min(MAX_PARTICLES, max(5, round(math.sqrt(tunings))))
     return SwarmSettings(particles=particles, generations=max(1, tunings // particles))
 
 
@@ -136,8 +167,8 @@ def _entry_speed(task: ComparisonConfig, cell: Cell, entry: About, driver: Contr
     track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
     if track is None:
         return None
-    found = entry_speed(track, cell.contender, driver, SPEEDS)
-    return float(found.found.speed) if math.isfinite(found.found.speed) else 0.0
+    speed = entry_speed(track, cell.contender, driver, SPEEDS).scan.speed
+    return float(speed) if math.isfinite(speed) else 0.0
 
 
 SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
@@ -148,5 +179,6 @@ def columns(cells: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
     """The rows of all cells as columns; NaN where nothing was measured."""
     rows = [row for cell in cells for row in cell["rows"]]
     if not rows:
-        raise InvalidInput("compare: no contender drove: see why each was left out.")
+        reasons = "; ".join(dict.fromkeys(cell["left_out"] for cell in cells))
+        raise InvalidInput(f"compare: no contender can drive here: {reasons}")
     return {name: as_column([row[name] for row in rows]) for name in rows[0]}

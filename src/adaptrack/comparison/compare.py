@@ -54,8 +54,7 @@ def compare(
         if outline is None:
             driven[each.name], overall[each.name] = _costs(runs, each, seeds)
         else:
-            rows, overall[each.name] = measure_runs(runs, each.policy, seeds, outline)
-            driven[each.name] = as_cells(rows)
+            driven[each.name] = as_cells(measure_runs(runs, each.policy, seeds, outline))
     one = outline is not None and len(runs) == 1
     return Comparison.of_runs(
         driven, reference, roads=[str(each.name) for each in getattr(runs, "scenarios", [])] or None, seeds=seeds,

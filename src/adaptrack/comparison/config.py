@@ -1,16 +1,18 @@
-"""What a comparison on cars, roads and profiles is of: who drives what where, and with what effort each is tuned."""
+"""Configuration of a comparison: controllers, cars, roads and profiles, and the effort of each search."""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Self
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import LISTED, Record
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
@@ -20,9 +22,9 @@ from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.constant import LEAST_TUNINGS
+from adaptrack.tuning.constant_file import load_tuning
 
-Progress = Callable[[str, int, int], None]
-
+COMPARISONS = SHIPPED / "comparisons"
 PERIODS_OF_A_LOOP = 1500
 """Control periods of a drive, for estimates of time."""
 
@@ -30,11 +32,31 @@ Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
 Numbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
 
 
+def is_tuning_file(contender: str) -> bool:
+    """Whether a contender is the .toml file of a tuning, and not a registered controller."""
+    return contender.endswith(".toml")
+
+
+def about_contender(contender: str) -> About:
+    """Properties of a registered controller, or of the controller in the file of a tuning, which is not tuned again.
+
+    Raises
+    ------
+    UnknownName
+        When no controller has this name.
+    StorageError
+        When the file cannot be read.
+    """
+    if is_tuning_file(contender):
+        return replace(about_controller(load_tuning(contender).controller), tunable=False)
+    return about_controller(contender)
+
+
 class ComparisonConfig(Record):
-    """What is compared, and with what effort each controller is tuned."""
+    """Controllers, cars, roads and profiles of a comparison, and the effort of tuning."""
 
     name: str = Field(min_length=1, description="of the comparison")
-    contenders: Names = Field(description="names, see `adaptrack compare --list`")
+    contenders: Names = Field(description="controllers, see `adaptrack list controllers`, or .toml files of tunings")
     cars: Names = Field(description="name or file of a car, with its plant: `van`, `my-car.toml/single-track`")
     profiles: Names = Field(description="names or files of profiles")
     training: Names = Field(description="roads of the search, see `roads`")
@@ -49,24 +71,15 @@ class ComparisonConfig(Record):
     training_seeds: Numbers = Field(default=(1000,), description="noise seeds of the search")
     budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
     entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
-    slow_cars: Names | None = Field(default=None, description="cars of contenders in Python; by default all")
-    slow_roads: Names | None = Field(default=None, description="roads of their judgement, likewise")
-    slow_seeds: Numbers | None = Field(default=None, description="noise seeds of their judgement, likewise")
-    costly_seeds: Numbers | None = Field(
-        default=None, description="noise seeds of the judgement on plants that take long (CommonRoad's), by default all"
-    )
-    slow_budget: int = Field(default=0, ge=0, description="closed loops of their search; 0: defaults alone")
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Self:
-        each = len(self.training) * len(self.training_seeds)
-        for key in ("budget", "slow_budget"):
-            budget = getattr(self, key)
-            if budget and budget < LEAST_TUNINGS * each:
-                raise ValueError(
-                    f"{key} = {budget}: a tuning takes {each} closed loops (training roads times their noise seeds): "
-                    f"give at least {LEAST_TUNINGS * each}, or 0."
-                )
+        loops = len(self.training) * len(self.training_seeds)
+        if self.budget and self.budget < LEAST_TUNINGS * loops:
+            raise ValueError(
+                f"budget = {self.budget}: a tuning takes {loops} closed loops (training roads times noise seeds): "
+                f"give at least {LEAST_TUNINGS * loops}, or 0."
+            )
         shared = set(self.seeds) & set(self.training_seeds)
         if shared:
             raise ValueError(f"training_seeds: {min(shared)} is a noise seed of the judgement as well.")
@@ -74,7 +87,7 @@ class ComparisonConfig(Record):
         if repeated:
             raise ValueError(f"training: {min(repeated)!r} is a road of the judgement as well.")
         for name in self.contenders:
-            about_controller(name)
+            about_contender(name)
         return self
 
     @property
@@ -85,26 +98,16 @@ class ComparisonConfig(Record):
             for profile in dict.fromkeys(self.profiles)
             for car in dict.fromkeys(self.cars)
             for contender in dict.fromkeys(self.contenders)
-            if about_controller(contender).compiled or car in (self.slow_cars or self.cars)
         ]
-
-    def of(self, entry: About) -> ComparisonConfig:
-        """What an entry drives: one in Python may have fewer roads, seeds and closed loops."""
-        if entry.compiled:
-            return self
-        roads, seeds = self.slow_roads or self.roads, self.slow_seeds or self.seeds
-        return self.replace(roads=roads, seeds=seeds, budget=self.slow_budget)
 
     def loops(self, cell: Cell) -> int:
         """Closed loops of a cell, roughly: those of the search and of the judgement, without entry speeds."""
-        entry = about_controller(cell.contender)
-        task = self.of(entry)
-        searched = task.budget if entry.tunable else 0
-        return searched + (2 if searched else 1) * len(task.roads) * len(task.seeds)
+        search = self.budget if about_contender(cell.contender).tunable else 0
+        return search + (2 if search else 1) * len(self.roads) * len(self.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
         """s, how long cells take on one core, roughly: `PERIODS_OF_A_LOOP` steps a loop."""
-        return sum(self.loops(cell) * PERIODS_OF_A_LOOP * about_controller(cell.contender).step_time for cell in cells)
+        return sum(self.loops(cell) * PERIODS_OF_A_LOOP * about_contender(cell.contender).step_time for cell in cells)
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,41 @@ class Cell:
     def label(self) -> str:
         """For progress and file names."""
         return f"{self.profile}, {self.car}, {self.contender}"
+
+
+def list_comparisons() -> dict[str, str]:
+    """Names of the shipped comparisons, with the first comment line of each."""
+    return {
+        path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
+        for path in sorted(COMPARISONS.glob("*.toml"))
+    }
+
+
+def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> ComparisonConfig:
+    """Load a shipped comparison by name, or one from a TOML file with the fields of `ComparisonConfig`.
+
+    changes: fields to replace.
+
+    Raises
+    ------
+    UnknownName
+        When no comparison has the name.
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When a key is unknown, missing or not allowed.
+    """
+    text = os.fspath(name_or_path)
+    if text.endswith(".toml"):
+        path = Path(text)
+    elif text in list_comparisons():
+        path = COMPARISONS / f"{text}.toml"
+    else:
+        raise UnknownName(
+            f"no comparison is named {text!r}. {did_you_mean(text, list_comparisons())} A file is given by its .toml "
+            "path."
+        )
+    return build(ComparisonConfig, {"name": path.stem, **read_toml(path), **changes}, path)
 
 
 # -- cars and roads ---------------------------------------------------------------------------------------------------

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.comparison.config import load_setting
 from adaptrack.comparison.lane_change import (
     CleanSpeed,
     Clearance,
@@ -25,6 +26,8 @@ from adaptrack.comparison.lane_change import (
     clearance,
     coasting_plan,
     driven_line,
+    iso_3888_1,
+    iso_3888_2,
     scan_speeds,
 )
 from adaptrack.control.controllers import Controller
@@ -103,17 +106,17 @@ class LaneChangeTest:
         batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
         rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
         seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
-        found = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
-        driven = [refined_poses(states, controller.period) for states in found.trace.state]
+        outcome = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
+        driven = [refined_poses(states, controller.period) for states in outcome.trace.state]
         return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
 
     def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:
         """The margins to the cones, of the worst seed for each tuning; arguments as for `drive`."""
-        found = []
+        worst = []
         for runs in self.drive(controller, speed, tunings, seeds):
-            each = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
-            found.append(min(each, key=lambda one: one.least))
-        return found
+            margins = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
+            worst.append(min(margins, key=lambda margin: margin.least))
+        return worst
 
 
 def refined_poses(states: Array, period: float) -> Array:
@@ -142,13 +145,13 @@ def tunings_to_try(name: str, controller: Controller) -> Array:
     """
     if name not in SEARCHED:
         raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCHED)}.")
-    names, own = list(controller.tuning_names), controller.packed_tuning()
-    tried = [own]
+    names, default = list(controller.tuning_names), controller.packed_tuning()
+    tunings = [default]
     for values in itertools.product(*SEARCHED[name].values()):
-        tuning = own.copy()
+        tuning = default.copy()
         tuning[[names.index(entry) for entry in SEARCHED[name]]] = values
-        tried.append(tuning)
-    return np.array(tried)
+        tunings.append(tuning)
+    return np.array(tunings)
 
 
 def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
@@ -170,7 +173,7 @@ def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, spee
     """
     tunings = tunings_to_try(name, controller)
     margins = test.margins(controller, speed, tunings, TUNING_SEEDS)
-    best = int(np.argmax([each.least for each in margins]))
+    best = int(np.argmax([margin.least for margin in margins]))
     return tunings[best], margins[best]
 
 
@@ -184,28 +187,29 @@ class EntrySpeed:
     tuned: bool
     """for this track, by `tune_for_track`; else its defaults"""
     tuning: dict[str, float]
-    found: CleanSpeed
+    scan: CleanSpeed
     poses: Array
-    """(seeds, places, 3) x (m), y (m), yaw (rad) at `found.speed`, or at the lowest speed where none is clean"""
+    """(seeds, places, 3) x (m), y (m), yaw (rad) at `scan.speed`, or at the lowest speed where none is clean"""
 
     @property
     def row(self) -> dict[str, Any]:
         """What tables and JSON say of it; speeds in km/h, margins in m, None for none."""
-        margins = self.found.tried.get(self.found.speed)
-        lowest = self.found.tried[min(self.found.tried)]
+        margins = self.scan.clearances.get(self.scan.speed)
+        lowest = self.scan.clearances[min(self.scan.clearances)]
         return {
             "vehicle": self.test.car.name,
+            "profile": self.test.profile.name,
             "controller": self.name,
             "tuned": self.tuned,
-            "clean": _kmh(self.found.speed),
-            "failing": _kmh(self.found.failing),
-            "highest_clean": _kmh(self.found.highest),
+            "clean": _kmh(self.scan.speed),
+            "failing": _kmh(self.scan.failing),
+            "highest_clean": _kmh(self.scan.highest),
             "margin": None if margins is None else margins.least,
             "lowest_margin": lowest.least if math.isfinite(lowest.least) else None,
             "tuning": self.tuning,
             "margins": [
-                {"speed": _kmh(speed), "least": each.least if math.isfinite(each.least) else None}
-                for speed, each in sorted(self.found.tried.items())
+                {"speed": _kmh(speed), "least": margin.least if math.isfinite(margin.least) else None}
+                for speed, margin in sorted(self.scan.clearances.items())
             ],
         }
 
@@ -232,22 +236,62 @@ def entry_speed(
         When the speeds do not increase from above 0, or the parts do not fit each other.
     """
     row = controller.packed_tuning() if tuning is None else tuning
-    found = scan_speeds(lambda speed: test.margins(controller, speed, row[None], SEEDS)[0], speeds)
-    shown = found.speed if math.isfinite(found.speed) else min(found.tried)
+    scan = scan_speeds(lambda speed: test.margins(controller, speed, row[None], SEEDS)[0], speeds)
+    shown = scan.speed if math.isfinite(scan.speed) else min(scan.clearances)
     names: Sequence[str] = controller.tuning_names
     return EntrySpeed(
-        test, name, tuning is not None, dict(zip(names, row.tolist(), strict=True)), found,
+        test, name, tuning is not None, dict(zip(names, row.tolist(), strict=True)), scan,
         test.drive(controller, shown, row[None], SEEDS)[0],
     )  # fmt: skip
 
 
-def entry_speeds(
-    test: LaneChangeTest, controllers: Sequence[tuple[str, Controller]], speeds: Sequence[float],
-    tune_at: float | None,
+class _Grid(NamedTuple):
+    """Track and entry speeds of a lane change."""
+
+    track: Callable[[float], Track]
+    """from the car's width (m)"""
+    speeds: tuple[float, ...]
+    """km/h, tried from the lowest up"""
+    tuned_at: float
+    """km/h"""
+
+
+LANE_CHANGES = {
+    "iso3888-1": _Grid(iso_3888_1, tuple(range(60, 171, 2)), 80.0),
+    "iso3888-2": _Grid(iso_3888_2, tuple(range(24, 91)), 45.0),
+}
+"""By name: the double lane change and the obstacle avoidance."""
+CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
+"""The default controllers of `compare_entry_speeds`."""
+
+
+def compare_entry_speeds(
+    lane_change: str, cars: Sequence[str], profiles: Sequence[str], controllers: Sequence[str] | None = None, *,
+    tuned: bool = True, progress: Callable[[str, int, int], None] | None = None,
 ) -> Iterator[EntrySpeed]:  # fmt: skip
-    """`entry_speed` of several controllers: with their own tuning, and tuned at a speed (m/s; None: not)."""
-    for name, controller in controllers:
-        yield entry_speed(test, name, controller, speeds)
-        if tune_at is not None and name in SEARCHED:
-            tuning, _ = tune_for_track(test, name, controller, tune_at)
-            yield entry_speed(test, name, controller, speeds, tuning)
+    """`entry_speed` of controllers on cars in profiles, with their default tuning and tuned for the track.
+
+    lane_change: one of `LANE_CHANGES`; cars: see `load_setting`; controllers: registered names, by default
+    `CONTROLLERS`; tuned: whether those in `SEARCHED` are also tuned; progress: called with (what, done, in all).
+
+    Raises
+    ------
+    AdaptrackError
+        When a name is unknown, or a plant is not compiled.
+    """
+    grid = LANE_CHANGES[lane_change]
+    speeds = [speed / 3.6 for speed in grid.speeds]
+    settings = [load_setting(car, profile) for profile in dict.fromkeys(profiles) for car in dict.fromkeys(cars)]
+    names = list(dict.fromkeys(controllers or CONTROLLERS))
+    for i, setting in enumerate(settings):
+        if not isinstance(setting.plant, Plant):
+            raise InvalidInput(f"{setting.car.name}: a lane change needs a compiled plant, not one in Python.")
+        test = LaneChangeTest(setting.car, setting.plant, grid.track(setting.car.outline.width), setting.profile)
+        for k, name in enumerate(names):
+            if progress is not None:
+                progress(f"{setting.car.name}, {name}", i * len(names) + k, len(settings) * len(names))
+            controller = setting.controller(name)
+            yield entry_speed(test, name, controller, speeds)
+            if tuned and name in SEARCHED:
+                tuning, _ = tune_for_track(test, name, controller, grid.tuned_at / 3.6)
+                yield entry_speed(test, name, controller, speeds, tuning)

@@ -33,9 +33,6 @@ from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
 Array = NDArray[np.float64]
-Drive = Callable[[float], tuple[ArrayLike, ArrayLike, ArrayLike]]
-"""drive(entry speed, m/s) -> x (m), y (m), yaw (rad) of the centre of mass, (n,) each."""
-
 Pass = tuple[int, float, "Gate"]
 
 APPROACH, RUN_OUT = 60.0, 60.0
@@ -432,51 +429,31 @@ class CleanSpeed:
     """m/s, the lowest speed of the grid that was not clean; NaN when all are"""
     highest: float
     """m/s, the highest clean speed of the grid, above `failing` by luck; NaN when none is clean"""
-    tried: dict[float, Clearance]
+    clearances: dict[float, Clearance]
     """by entry speed (m/s)"""
 
 
-def highest_clean_speed(drive: Drive, track: Track, outline: Outline, speeds: Sequence[float]) -> CleanSpeed:
-    """The highest entry speed of a grid up to which every drive is clean; see `scan_speeds`.
-
-    Parameters
-    ----------
-    drive
-        Drives the track from an entry speed (m/s) at the first cones, throttle off from there on.
-    speeds
-        m/s, increasing: the grid.
-
-    Raises
-    ------
-    InvalidInput
-        When the speeds do not increase from above 0.
-    """
-    return scan_speeds(lambda speed: clearance(track, outline, *drive(speed)), speeds)
-
-
-def scan_speeds(
-    judge: Callable[[float], Clearance], speeds: Sequence[float], beyond: int = BEYOND_FAILING
-) -> CleanSpeed:
+def scan_speeds(judge: Callable[[float], Clearance], speeds: Sequence[float]) -> CleanSpeed:
     """Drive a grid of entry speeds (m/s), increasing, from its lowest up: a faster drive may be clean where one is not.
 
-    It ends when `beyond` speeds one after the other were not clean.
+    It ends when `BEYOND_FAILING` speeds one after the other were not clean.
 
     Raises
     ------
     InvalidInput
         When the speeds do not increase from above 0.
     """
-    grid = [float(each) for each in speeds]
+    grid = [float(speed) for speed in speeds]
     if not grid or grid[0] <= 0.0 or any(b <= a for a, b in pairwise(grid)):
         raise InvalidInput(f"entry speeds = {speeds!r}: must increase from above 0 m/s.")
-    tried: dict[float, Clearance] = {}
+    clearances: dict[float, Clearance] = {}
     row = 0
     for speed in grid:
-        tried[speed] = judge(speed)
-        row = 0 if tried[speed].clean else row + 1
-        if row >= beyond:
+        clearances[speed] = judge(speed)
+        row = 0 if clearances[speed].clean else row + 1
+        if row >= BEYOND_FAILING:
             break
-    clean = [speed for speed, each in tried.items() if each.clean]
-    failing = min((speed for speed, each in tried.items() if not each.clean), default=math.nan)
+    clean = [speed for speed, margin in clearances.items() if margin.clean]
+    failing = min((speed for speed, margin in clearances.items() if not margin.clean), default=math.nan)
     below = [speed for speed in clean if not speed > failing]
-    return CleanSpeed(max(below, default=math.nan), failing, max(clean, default=math.nan), tried)
+    return CleanSpeed(max(below, default=math.nan), failing, max(clean, default=math.nan), clearances)

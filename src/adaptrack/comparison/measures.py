@@ -1,4 +1,4 @@
-"""What is measured of a run in a comparison, and of all runs of a contender together."""
+"""Measures of a run in a comparison."""
 
 from __future__ import annotations
 
@@ -22,32 +22,23 @@ RUN = {
 }  # fmt: skip
 """Measures of a run until its end or failure, and the `Metrics` that they are: m, m, m, m, rad/s, m/s^2, m/s^3,
 s."""
-OVERALL = ("rms_error", "p95_error")
-"""Of the steps of all runs together: RMS and 95th percentile of the offset (m) of the centre of mass."""
 
 
-def measure_runs(
-    runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline
-) -> tuple[list[list[dict[str, Any]]], dict[str, float]]:
+def measure_runs(runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline) -> list[list[dict[str, Any]]]:
     """Drive every run with every noise seed, and measure it in full.
 
     outline: of the car, for the errors of its corners.
 
     Returns
     -------
-    rows
-        For each run and seed: `cost` (m^2), `failed`, `reason`, `failed_at` (s), `because` (to complete "the vehicle
-        ..."), and `RUN`; None where there is nothing to measure.
-    overall
-        See `OVERALL`; infinite where nothing was driven.
+    list
+        For each run and seed: `cost` (m^2), `failed`, `reason`, `failed_at` (s), and `RUN`; None where nothing can be
+        measured.
     """
-    rows, offsets = [], []
-    for road in runs.trajectories(policy, seeds):  # type: ignore[arg-type]
-        records = [PathRecord.from_trajectory(run) for run in road]
-        rows.append([_measured(run, record, runs, outline) for run, record in zip(road, records, strict=True)])
-        offsets += [np.abs(record.offset) for record in records if record is not None]
-    e = np.concatenate(offsets) if offsets else np.array([np.inf])
-    return rows, {"rms_error": float(np.sqrt(np.mean(e**2))), "p95_error": float(np.percentile(e, 95.0))}
+    return [
+        [_measured(run, PathRecord.from_trajectory(run), runs, outline) for run in road]
+        for road in runs.trajectories(policy, seeds)  # type: ignore[arg-type]
+    ]
 
 
 def _measured(run: Trajectory, record: PathRecord | None, runs: RunSet, outline: Outline) -> dict[str, Any]:
@@ -58,7 +49,6 @@ def _measured(run: Trajectory, record: PathRecord | None, runs: RunSet, outline:
         "failed": whole.failed,
         "reason": whole.failed_reason or "",
         "failed_at": float(whole.failed_at) if whole.failed else None,
-        "because": whole.failed_because or "",
         **{name: None if path is None else path[kept] for name, kept in RUN.items()},
     }
 

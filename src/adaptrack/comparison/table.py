@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.shown import figure_of, html_of
-from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio, regret_percentiles
+from adaptrack.base.statistics import Ratio, geometric_mean, ratio, regret_percentiles
 from adaptrack.drive.failure import Failure
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class Role:
     adapts: bool = True
     hindsight: bool = False
     tuning: str = ""
-    """of a contender that is there more than once: default, tuned or scheduled"""
+    """default, tuned, scheduled, or the file of a tuning"""
 
     @property
     def deployable(self) -> bool:
@@ -56,7 +56,7 @@ def check_names(contenders: Sequence[str], reference: str) -> None:
 
 
 def label_of(contender: str, tuning: str) -> str:
-    """How tables call a contender with a tuning: default, tuned, or scheduled."""
+    """The label of a contender with a tuning: default, tuned, scheduled, or the file of a tuning."""
     return contender if tuning == "scheduled" else f"{contender}, {tuning}"
 
 
@@ -143,10 +143,8 @@ class Comparison:
             cells[name][tuple(at)] = columns[name]
         reference = next((each for each in preferred if each in roles), next(iter(roles), ""))
         cars, roads, seeds = (labels[axis].tolist() for axis in AXES)
-        return cls(
-            tuple(roles), tuple(cars), tuple(roads), tuple(map(int, seeds)), cells, reference, roles,
-            over=("car", "road"),
-        )  # fmt: skip
+        over = ("seed",) if len(cars) * len(roads) == 1 else ("car", "road")
+        return cls(tuple(roles), tuple(cars), tuple(roads), tuple(map(int, seeds)), cells, reference, roles, over=over)
 
     # -- statistics ---------------------------------------------------------------------------------------------------
     def of(self, name: str, measure: str) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from adaptrack.cars.vehicle import GRAVITY
@@ -61,19 +61,6 @@ def of_certificate(found: Certificate) -> str:
     return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {found.verdict}"
 
 
-# -- lane changes -----------------------------------------------------------------------------------------------------
-def of_lane_changes(rows: Sequence[Row]) -> str:
-    """The controller with the highest clean entry speed on each car, and the others; rows: of `EntrySpeed.row`."""
-    sentences = []
-    for car in dict.fromkeys(row["vehicle"] for row in rows):
-        clean: dict[str, float] = {}
-        for row in rows:
-            if row["vehicle"] == car:
-                clean[row["controller"]] = max(clean.get(row["controller"], 0.0), row["clean"] or 0.0)
-        best, *others = sorted(clean, key=lambda name: -clean[name])
-        named = "".join(f"; {name} to {clean[name]:.0f}" for name in others[:MOST_NAMED])
-        sentences.append(f"{car} with {best}: clean up to {clean[best]:.0f} km/h{named}.")
-    return "\n".join(sentences)
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------

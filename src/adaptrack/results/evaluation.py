@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.result import Axis, Column, HeatMap, Panel, Picture, Result, ResultTable, Row, Scale, where
-from adaptrack.comparison.statistics import binned_geometric_mean
+from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM

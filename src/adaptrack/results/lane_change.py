@@ -1,14 +1,48 @@
-"""The picture of a lane change through cones: what the corners of the car swept at the highest clean speed."""
+"""The result of lane changes through cones: entry speeds, and pictures of the highest clean ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from adaptrack.base.result import BACKGROUND, SERIES, Axis, Dots, Mark, Panel, Picture, Polygon, Polyline, Stroke
-from adaptrack.comparison.entry_speed import EntrySpeed
+from adaptrack.base.files import safe_names
+from adaptrack.base.result import (
+    BACKGROUND,
+    SERIES,
+    Axis,
+    Column,
+    Dots,
+    Mark,
+    Panel,
+    Picture,
+    Polygon,
+    Polyline,
+    Result,
+    ResultTable,
+    Stroke,
+)
+from adaptrack.comparison.entry_speed import LANE_CHANGES, EntrySpeed
 from adaptrack.results.words import data_text
+
+TITLES = {
+    "iso3888-1": "Double lane change, after ISO 3888-1",
+    "iso3888-2": "Obstacle avoidance, after ISO 3888-2",
+}
+COLUMNS = (
+    Column("vehicle", "Car"),
+    Column("profile", "Profile"),
+    Column("controller", "Controller"),
+    Column("clean", "Clean to", "km/h", "whole"),
+    Column("highest_clean", "Highest", "km/h", "whole"),
+    Column("tuned_clean", "Tuned, to", "km/h", "whole"),
+    Column("tuned_highest_clean", "Highest", "km/h", "whole"),
+)
+_NOTE = (
+    "Clean to: all entry speeds of the grid up to there touch no cone; highest: of all that were tried. The worst of "
+    "three noise seeds counts. Tuned: the best of a small search at one speed, with other seeds. Friction 0.9."
+)
 
 BEFORE, BEHIND = 12.0, 14.0
 """m, of road shown before the first and behind the last cones."""
@@ -18,13 +52,65 @@ _CORNERS = ((2, SERIES[2], 1.6), (3, SERIES[2], 1.6), (0, SERIES[0], 0.7), (1, S
 """Of the outline, with colour and width [pt]: the rear ones, then the front ones over them."""
 
 
-def lane_change_picture(runs: Sequence[EntrySpeed]) -> Picture:
+def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = "", next_step: str = "") -> Result:
+    """Entry speeds of a lane change of `LANE_CHANGES`, and a picture for each car and profile."""
+    rows = [run.row for run in runs]
+    fastest = max(rows, key=lambda row: row["clean"] or 0.0)
+    tests = {id(run.test): [other for other in runs if other.test is run.test] for run in runs}
+    files = safe_names(f"{tests[key][0].test.car.name}-{tests[key][0].test.profile.name}" for key in tests)
+    tuned_at = LANE_CHANGES[name].tuned_at if any(run.tuned for run in runs) else None
+    return Result(
+        kind="lane-change",
+        title=TITLES[name],
+        answer=f"Highest clean entry speed: {fastest['clean'] or 0.0:.0f} km/h, {fastest['controller']} with "
+        f"{fastest['vehicle']}.",
+        record={"lane_change": name, "tuned_at": tuned_at, "rows": rows},
+        tables=[_table(rows)],
+        pictures=[
+            lane_change_picture(_fastest_runs(group), f"{file}.png")
+            for file, group in zip(files, tests.values(), strict=True)
+        ],
+        command=command,
+        next_step=next_step,
+    )
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> ResultTable:
+    """A line for each car, profile and controller: default tuning, and tuned."""
+    shown = ("clean", "highest_clean")
+    lines: dict[tuple[str, ...], dict[str, Any]] = {}
+    for row in rows:
+        about = {key: row[key] for key in ("vehicle", "profile", "controller")}
+        line = lines.setdefault(tuple(about.values()), about | {f"tuned_{key}": None for key in shown})
+        line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in shown}
+    table, best = list(lines.values()), set()
+    for i, line in enumerate(table):
+        rivals = [
+            other for other in table if (other["vehicle"], other["profile"]) == (line["vehicle"], line["profile"])
+        ]
+        fastest = max(other[key] or 0.0 for other in rivals for key in ("clean", "tuned_clean"))
+        best |= {(i, key) for key in ("clean", "tuned_clean") if line[key] == fastest}
+    columns = COLUMNS if any(row["tuned"] for row in rows) else COLUMNS[:5]
+    return ResultTable("speeds", "Entry speeds", columns, table, _NOTE, best=frozenset(best), brief=True)
+
+
+def _fastest_runs(runs: Sequence[EntrySpeed]) -> list[EntrySpeed]:
+    """The faster run of each controller: with its default tuning, or tuned."""
+    fastest: dict[str, EntrySpeed] = {}
+    for run in runs:
+        other = fastest.get(run.name)
+        if other is None or not np.isfinite(other.scan.speed) or run.scan.speed > other.scan.speed:
+            fastest[run.name] = run
+    return list(fastest.values())
+
+
+def lane_change_picture(runs: Sequence[EntrySpeed], file: str) -> Picture:
     """A panel for each controller on one track: cones, lanes, the corners of all seeds, the outline now and then.
 
     The speed shown is the highest up to which all drives are clean; where none is clean, the lowest of the grid.
     """
     caption = "Cones, lanes, and what the corners of the car swept."
-    return Picture("lane_change", caption, list(map(_panel, runs)), columns=1, row_height=1.35)
+    return Picture(file.removesuffix(".png"), caption, list(map(_panel, runs)), file=file, columns=1, row_height=1.35)
 
 
 def _panel(run: EntrySpeed) -> Panel:
@@ -52,9 +138,9 @@ def _marks(run: EntrySpeed, start: float, end: float) -> list[Mark]:
             for corner, colour, width in _CORNERS
         ]
     first = run.poses[0]
-    known = first[np.isfinite(first).all(axis=1)]
+    finite = first[np.isfinite(first).all(axis=1)]
     for x in np.arange(start, end, BETWEEN):
-        place = known[int(np.argmin(np.abs(known[:, 0] - x)))]
+        place = finite[int(np.argmin(np.abs(finite[:, 0] - x)))]
         front_left, front_right, rear_left, rear_right = outline.corners_at(*place)
         corners = np.array([front_left, front_right, rear_right, rear_left])
         marks.append(Polygon(corners[:, 0], corners[:, 1], "ink", width=0.4, opacity=0.5))
@@ -65,5 +151,5 @@ def _title(run: EntrySpeed) -> str:
     label = f"{run.test.car.name}, {run.name}{', tuned' if run.tuned else ''}"
     row = run.row
     if row["clean"] is None:
-        return f"{label}: not clean at {3.6 * min(run.found.tried):.0f} km/h"
+        return f"{label}: not clean at {3.6 * min(run.scan.clearances):.0f} km/h"
     return f"{label}: clean up to {row['clean']:.0f} km/h"

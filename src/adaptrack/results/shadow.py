@@ -27,11 +27,11 @@ from adaptrack.base.result import (
 )
 from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.drive.prediction import TIMES
+from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
+from adaptrack.identification.shadow_predictions import PREDICTORS
 from adaptrack.results.learned_picture import LEARNED
 from adaptrack.results.run_pictures import thinned
 from adaptrack.results.words import capital, listed, number
-from adaptrack.studies.observing import PREDICTORS
-from adaptrack.studies.shadow import Shadow, ShadowLog, Warned
 
 NAMES = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
 SENTENCES = NAMES | {"learned": "learned model", "held": "held yaw rate"}

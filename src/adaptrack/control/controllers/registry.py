@@ -70,7 +70,7 @@ _registry: Registry[Controller] = Registry(
 
 @checked
 def register_controller(name: str, factory: Factory | str, *, words: str = "", compiled: bool = False) -> None:
-    """Give a controller a name for everything that takes one: `drive`, `tune`, `evaluate`, `compare`.
+    """Give a controller a name for everything that takes one: `drive`, `tune`, `compare`.
 
     factory: a callable, or ``"package.module:name"``, imported on first use: ``factory(vehicle)`` makes the controller.
     Where it has arguments called ``profile``, ``period`` (s) or ``preview``, it is given those of the runs at hand.

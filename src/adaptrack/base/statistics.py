@@ -1,7 +1,4 @@
-"""Statistics of measures: geometric means, and ratios with their 95 % intervals.
-
-Every interval of a ratio is one of `ratio`, in tables and in the sentences beside them.
-"""
+"""Statistics of measures: geometric means, and ratios with their 95 % bootstrap intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a car to the constant tuning of the controller that knows it: sought on random drives, and checked."""
+"""The constant tuning of the informed controller for a car: a search on random drives, unseen drives, a certificate."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.checked import checked, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import tells
+from adaptrack.base.statistics import Ratio, geometric_mean, ratio
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
@@ -71,7 +71,7 @@ class TuningEffort:
 
 @dataclass(frozen=True, eq=False)
 class TunedCar:
-    """What `tune` found for a car."""
+    """The constant tuning of a car."""
 
     controller: MPC
     """with the tuning that is kept, ready to drive"""
@@ -111,48 +111,20 @@ class TunedCar:
         return self.failed == 0 and self.certificate.passed
 
     @property
-    def verdict(self) -> str:
-        """What was found, in some sentences."""
+    def headline(self) -> str:
+        """The chosen tuning, the cost of the best of the search over the default's, and the failed drives."""
         entries = f"Np {self.tuning.Np}, Nc {self.tuning.Nc}, R/Q {self.tuning.R / self.tuning.Q:.4g}"
-        share = f"{self.gain.mean:.3f} [{self.gain.low:.3f}, {self.gain.high:.3f}] of the default's cost"
-        kept = "the best of the search" if self.tuning is self.sought else "the default, which the search does not beat"
-        drives = len(self.costs["default"])
-        first = "" if self.feasibility.passed else f"{self.feasibility.verdict} What follows is for {self.held}. "
-        return (
-            f"{first}{entries}: {kept} ({share}). {self.failed or 'None'} of {drives} unseen drives failed; "
-            f"{self.certificate.verdict}{self._stand_in} Belief: {self.controller.belief_at_first}."
-        )
-
-    @property
-    def answer(self) -> str:
-        """Whether the search found a better constant than the controller has by itself."""
-        if self.tuning is not self.sought or self.sought == self.default:
-            return "The controller keeps its own constant, which a search does not beat for sure."
-        return (
-            f"The constant that was found costs {100.0 * (1.0 - self.gain.mean):.2g} % less than the controller's own."
-        )
-
-    @property
-    def _stand_in(self) -> str:
-        """Whose certificate it is, where the plant has none of its own."""
-        if self.certificate.plant == self.plant:
-            return ""
-        return (
-            f" The plant {self.plant!r} has no linear model: the certificate is of a {self.certificate.plant} car with "
-            "the numbers that the controller believes; the drives are of the plant."
-        )
-
-    @property
-    def held(self) -> str:
-        """The domain in words."""
-        (slow, fast), (low, high) = self.domain.speed, self.domain.friction
-        return f"{slow:.3g} to {fast:.3g} m/s on friction {low:.3g} to {high:.3g}"
+        gain = f"{self.gain.mean:.3g} [{self.gain.low:.3g}, {self.gain.high:.3g}]"
+        drives = f"{self.failed} of {len(self.costs['default'])} unseen drives failed"
+        return f"{entries}; the searched tuning costs {gain} times the default; {drives}."
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
         worst = self.controller.model.vehicle.domain.failure_distance**2
         return {
-            "verdict": self.verdict,
+            "verdict": self.headline,
+            "feasible": self.feasibility.verdict,
+            "certificate": self.certificate.verdict,
             "passed": self.passed,
             "profile": self.profile.name,
             "plant": self.plant,
@@ -163,13 +135,13 @@ class TunedCar:
             "sought": _entries(self.sought),
             "gain": self.gain._asdict(),
             "drives": len(self.costs["default"]),
-            "failed": {name: int(np.isinf(each).sum()) for name, each in self.costs.items()},
-            "cost": {name: geometric_mean(np.minimum(each, worst)) for name, each in self.costs.items()},
+            "failed": {name: int(np.isinf(drives).sum()) for name, drives in self.costs.items()},
+            "cost": {name: geometric_mean(np.minimum(drives, worst)) for name, drives in self.costs.items()},
             "seconds": self.seconds,
         }
 
     def __repr__(self) -> str:
-        return f"<TunedCar: {self.verdict}>"
+        return f"<TunedCar: {self.headline}>"
 
 
 def _entries(tuning: Tuning) -> dict[str, float]:
@@ -222,37 +194,39 @@ def tune(
     car, driven = _car_and_plant(car, plant)
     world = load_profile(profile)
     mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
-    given = {name: each for name, each in (("speed", speed), ("friction", friction)) if each is not None}
-    wanted = Domain(**{**car.domain.model_dump(), **given})
+    limits = {name: limit for name, limit in (("speed", speed), ("friction", friction)) if limit is not None}
+    requested = Domain(**{**car.domain.model_dump(), **limits})
     show("which speeds can be held", 0, 1)
-    linear = linear_twin(driven, car, wanted)
-    able = feasibility(linear, mpc, world.prompt, speed=wanted.speed, friction=wanted.friction, turn=None)
-    if able.constant is None:
-        raise InvalidInput(f"tune: {able.verdict}")
-    domain = wanted.replace(**able.constant[1]._asdict()) if able.constant[1] != able.whole else wanted
+    linear = linear_twin(driven, car, requested)
+    holdable = feasibility(linear, mpc, world.prompt, speed=requested.speed, friction=requested.friction, turn=None)
+    if holdable.constant is None:
+        raise InvalidInput(f"tune: {holdable.verdict}")
+    constant, held = holdable.constant
+    domain = requested.replace(**held._asdict()) if held != holdable.whole else requested
     default = mpc.tuning
     bench = _Bench(driven, mpc, world, domain)
     runs = _search_runs(bench.on_twin(), effort, seed)
     bench.warn_of_time(effort)
-    found = _sought(runs, [default, able.constant[0]], effort.swarm, seed, show)
+    searched = _search_tuning(runs, [default, constant], effort.swarm, seed, show)
     show("unseen drives", 0, 1)
     numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + effort.judged)
     unseen = bench.drives(numbers, 60.0)
     costs = {"default": unseen.drive(default, [NOISE_JUDGED])[:, 0]}
-    costs["sought"] = costs["default"] if found == default else unseen.drive(found, [NOISE_JUDGED])[:, 0]
-    known = {name: np.minimum(each, unseen.failed_cost) for name, each in costs.items()}
-    gain = ratio(known["sought"], known["default"])
-    failures = {name: int(np.isinf(each).sum()) for name, each in costs.items()}
-    kept = found if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
+    costs["sought"] = costs["default"] if searched == default else unseen.drive(searched, [NOISE_JUDGED])[:, 0]
+    bounded = {name: np.minimum(drives, unseen.failed_cost) for name, drives in costs.items()}
+    gain = ratio(bounded["sought"], bounded["default"])
+    failures = {name: int(np.isinf(drives).sum()) for name, drives in costs.items()}
+    tuning = searched if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
     certificate = certify(
-        kept, linear, mpc, world.prompt, domain={"speed": domain.speed, "friction": domain.friction},
+        tuning, linear, mpc, world.prompt, domain={"speed": domain.speed, "friction": domain.friction},
         levels=effort.levels, progress=show,
     )  # fmt: skip
-    controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=kept)
+    controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=tuning)
     seconds = time.perf_counter() - began
     return TunedCar(
-        controller, world, domain, able, default, found, costs, gain, certificate, driven.name, driven.costly, seconds
-    )
+        controller, world, domain, holdable, default, searched, costs, gain, certificate, driven.name, driven.costly,
+        seconds,
+    )  # fmt: skip
 
 
 def _car_and_plant(
@@ -313,27 +287,27 @@ def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]
     ]
 
 
-def _sought(training: list[RunSet], known: list[Tuning], swarm: SwarmSettings, seed: int, show: Progress) -> Tuning:
-    """The tuning with the lowest mean log cost, each run set counting alike: of a search about the first of those that
-    are known, or one of these.
-    """
-    default = known[0]
+def _search_tuning(
+    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, show: Progress
+) -> Tuning:
+    """The tuning with the lowest mean log cost over the run sets: found about the first candidate, or a candidate."""
+    default = candidates[0]
     search = Swarm(Search.around(default).space(), swarm, seed=seed)
 
     def costs(tunings: Array) -> Array:
-        found = np.zeros(len(tunings))
+        total = np.zeros(len(tunings))
         for runs in training:
             which = np.tile(np.arange(len(runs)), len(tunings))
-            each = runs.costs(np.repeat(tunings, len(runs), axis=0), [NOISE_SOUGHT], which)
-            found += np.log(each).reshape(len(tunings), len(runs)).mean(axis=1)
-        return found
+            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [NOISE_SOUGHT], which)
+            total += np.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
+        return total
 
     while not search.done:
         show("search", search.generation, search.settings.generations)
         search.tell(costs(search.ask()))
-    best, rows = search.result(), np.array([each.as_array() for each in known])
-    of_known = costs(rows)
-    if of_known.min() <= best.cost:
-        return known[int(of_known.argmin())]
+    best, rows = search.result(), np.array([tuning.as_array() for tuning in candidates])
+    candidate_costs = costs(rows)
+    if candidate_costs.min() <= best.cost:
+        return candidates[int(candidate_costs.argmin())]
     Np, Nc, Q, R = best.x.tolist()
     return replace(default, Np=round(Np), Nc=round(Nc), Q=Q, R=float(f"{R:.6g}"))

@@ -21,8 +21,8 @@ from pydantic import Field
 from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.statistics import Interval, Ratio, block_rms
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.comparison.statistics import Interval, Ratio, block_rms
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
 from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import UNNAMED
@@ -35,10 +35,10 @@ from adaptrack.identification.conventions import check_conventions, check_positi
 from adaptrack.identification.instants import LogSource, ReadLog, Samples
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading
+from adaptrack.identification.shadow_predictions import LEFT_OUT, PREDICTORS, QUANTITIES, Observer, Predicted, predicted
 from adaptrack.road import Road, load_road
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.studies.observing import LEFT_OUT, PREDICTORS, QUANTITIES, Observer, Predicted, predicted
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -1,0 +1,105 @@
+"""`adaptrack list`: the names that other commands take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+
+from adaptrack.base.errors import UnknownName, did_you_mean
+from adaptrack.cli import options, show
+from adaptrack.cli.next_step import command, say_next
+
+Descriptions = dict[str, str]
+"""By name."""
+
+
+def _cars() -> Descriptions:
+    from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+
+    return {name: load_vehicle(name).description for name in list_vehicles()}
+
+
+def _tyres() -> Descriptions:
+    from adaptrack.cars.vehicle import list_tyres, load_tyre
+
+    return {name: load_tyre(name).description for name in list_tyres()}
+
+
+def _roads() -> Descriptions:
+    from adaptrack.road import KINDS
+
+    return dict.fromkeys(KINDS, "generated; country:3 is the country road with seed 3")
+
+
+def _scenarios() -> Descriptions:
+    from adaptrack.scenario import list_scenarios, scenario_options
+
+    texts = list_scenarios().items()
+    return {name: f"{text} Options: {', '.join(scenario_options(name)) or 'none'}." for name, text in texts}
+
+
+def _profiles() -> Descriptions:
+    from adaptrack.scenario.profile import list_profiles, load_profile
+
+    return {name: load_profile(name).description for name in list_profiles()}
+
+
+def _controllers() -> Descriptions:
+    from adaptrack.control.controllers import about_controller, list_controllers
+
+    about = {name: about_controller(name) for name in list_controllers()}
+    return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in about.items()}
+
+
+def _schedules() -> Descriptions:
+    from adaptrack.control.scheduling import list_schedulers, load_scheduler
+
+    schedules = {name: load_scheduler(name) for name in list_schedulers()}
+    return {
+        name: f"for the car {schedule.made_for.get('car')}, inputs {', '.join(schedule.inputs)}"
+        for name, schedule in schedules.items()
+    }
+
+
+def _comparisons() -> Descriptions:
+    from adaptrack.comparison.config import list_comparisons
+
+    return list_comparisons()
+
+
+COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
+    "cars": (_cars, "car"),
+    "tyres": (_tyres, "drive country --tyre"),
+    "roads": (_roads, "drive"),
+    "scenarios": (_scenarios, "drive"),
+    "profiles": (_profiles, "drive country --profile"),
+    "controllers": (_controllers, "drive country --controller"),
+    "schedules": (_schedules, "certify"),
+    "comparisons": (_comparisons, "compare --out compared --config"),
+}
+"""By kind: the descriptions, and the command that takes a name."""
+
+
+@options.grouped
+def list_names(
+    kind: Annotated[
+        str | None, typer.Argument(metavar="KIND", help=f"{', '.join(COMMANDS)}; by default all names.")
+    ] = None,
+    plugin: options.Plugin = None,
+    as_json: options.Json = False,
+) -> None:
+    """List the names of cars, roads, controllers."""
+    options.load_plugins(plugin)
+    if kind is None:
+        rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]
+        show.listing("Names", rows, as_json)
+        return
+    if kind not in COMMANDS:
+        raise UnknownName(f"list: there is no kind {kind!r}. {did_you_mean(kind, COMMANDS)}")
+    describe, words = COMMANDS[kind]
+    rows = [{"name": name, "description": text} for name, text in describe().items()]
+    show.listing(f"{len(rows)} {kind}", rows, as_json)
+    if not as_json:
+        say_next("use one", command(*words.split(), rows[0]["name"]))

@@ -1,0 +1,171 @@
+"""Run a comparison on cars, roads and profiles: finished cells are kept in a folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack import __version__
+from adaptrack.base.errors import StorageError
+from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
+from adaptrack.cars.plant import fingerprint
+from adaptrack.comparison.cells import columns, run_cell
+from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, load_setting
+from adaptrack.comparison.table import Comparison, label_of
+from adaptrack.core.library import kernels_hash
+from adaptrack.tuning.constant_file import load_tuning
+
+Progress = Callable[[str, int, int], None]
+
+REFERENCES = ("informed, tuned", "informed, default")
+"""Labels of the preferred reference of all ratios; without them the first contender."""
+FORMAT, FORMAT_VERSION, TABLE = "adaptrack comparison", 1, "runs.parquet"
+UNITS = {
+    "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
+    "max_corner": "m", "steering_rate": "rad/s", "acceleration": "m/s^2", "jerk": "m/s^3", "duration": "s", "seed": "-",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Runs of a comparison."""
+
+    task: ComparisonConfig
+    cells: dict[Cell, dict[str, Any]]
+    """results of `run_cell`"""
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All runs, see `cells.columns`."""
+        return columns(list(self.cells.values()))
+
+    @cached_property
+    def by_profile(self) -> dict[str, Comparison]:
+        """The table of each profile."""
+        columns = self.columns
+        return {
+            profile: Comparison.of_columns(
+                {name: values[columns["profile"] == profile] for name, values in columns.items()}, REFERENCES
+            )
+            for profile in dict.fromkeys(columns["profile"].tolist())
+        }
+
+    @property
+    def failed_runs(self) -> list[dict[str, Any]]:
+        """One row for each failed run: contender, car, profile, road, noise seed, reason, and the time (s)."""
+        return [
+            {
+                "label": label_of(row["contender"], row["tuning"]),
+                **{key: row[key] for key in ("car", "profile", "road", "seed", "reason", "failed_at")},
+            }
+            for cell in self.cells.values()
+            for row in cell["rows"]
+            if row["failed"]
+        ]
+
+    @property
+    def left_out(self) -> dict[Cell, str]:
+        """Cells that were not driven, with the reason."""
+        return {cell: result["left_out"] for cell, result in self.cells.items() if result["left_out"]}
+
+    def entry_speeds(self, profile: str) -> dict[str, dict[str, float]]:
+        """Highest clean entry speed into ISO 3888-2 (m/s) by contender and car; 0 if no speed is clean."""
+        speeds: dict[str, dict[str, float]] = {}
+        for cell, result in self.cells.items():
+            if cell.profile == profile:
+                for label, speed in result["entry_speed"].items():
+                    if speed is not None:
+                        speeds.setdefault(label, {})[cell.car] = speed
+        return speeds
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all runs as rows of a Parquet file.
+
+        Raises
+        ------
+        StorageError
+            When it cannot be written.
+        """
+        columns = [ParquetColumn(name, UNITS.get(name, "-"), values) for name, values in self.columns.items()]
+        about = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
+        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, columns, about))
+
+
+def run_comparison(
+    task: ComparisonConfig, out: str | os.PathLike[str] | None = None, *, progress: Progress | None = None
+) -> Compared:
+    """Drive a comparison; with a folder, cells that are there with the same identity are read, not driven again.
+
+    progress: called with (cell, cells done, cells).
+
+    Raises
+    ------
+    AdaptrackError
+        When a car, a profile, a road or the folder cannot be used.
+    """
+    results = {}
+    for done, cell in enumerate(task.cells):
+        if progress is not None:
+            progress(cell.label, done, len(task.cells))
+        file = None if out is None else _CellFile.of(task, Path(out), cell)
+        stored = None if file is None else file.load()
+        results[cell] = run_cell(task, cell) if stored is None else stored
+        if file is not None and stored is None:
+            file.save(results[cell])
+    compared = Compared(task, results)
+    if out is not None:
+        compared.save(Path(out) / TABLE)
+    return compared
+
+
+@dataclass(frozen=True)
+class _CellFile:
+    """The file of a cell: its result as JSON, with the hash of everything that the result depends on."""
+
+    path: Path
+    identity: str
+
+    @classmethod
+    def of(cls, task: ComparisonConfig, folder: Path, cell: Cell) -> _CellFile:
+        software = {"adaptrack": __version__, "kernels": kernels_hash(), "numpy": np.__version__}
+        text = json.dumps([_cell_settings(task, cell), software], sort_keys=True)
+        path = folder / "cells" / f"{safe_name(cell.label)}.json"
+        return cls(path, hashlib.sha256(text.encode()).hexdigest())
+
+    def load(self) -> dict[str, Any] | None:
+        """The result, or None if there is none of this identity."""
+        if not self.path.exists():
+            return None
+        content = read_json(self.path)
+        if not isinstance(content, Mapping) or set(content) != {"identity", "result"}:
+            raise StorageError(f"{self.path}: not the file of a cell. Remove it to continue.")
+        return content["result"] if content["identity"] == self.identity else None
+
+    def save(self, result: dict[str, Any]) -> None:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"{self.path.parent}: cannot be made: {error.strerror or error}.") from error
+        write_json(self.path, {"identity": self.identity, "result": result})
+
+
+def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
+    """Everything but the software that the result of a cell depends on."""
+    settings = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
+    setting = load_setting(cell.car, cell.profile)
+    settings |= asdict(cell) | {
+        "about_car": setting.car.model_dump(mode="json"), "about_profile": setting.profile.model_dump(mode="json"),
+        "plant": fingerprint(setting.plant),
+    }  # fmt: skip
+    if is_tuning_file(cell.contender):
+        settings["tuning_file"] = load_tuning(cell.contender).model_dump(mode="json")
+    return settings

@@ -1,0 +1,329 @@
+"""The result of `compare`: ranking in each profile, error against steering work, failed runs, entry speeds."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from adaptrack.base.result import (
+    SERIES,
+    Axis,
+    Callout,
+    Column,
+    Dots,
+    Mark,
+    Panel,
+    Picture,
+    Polyline,
+    Result,
+    ResultTable,
+    Row,
+    Stroke,
+    where,
+)
+from adaptrack.comparison.config import about_contender
+from adaptrack.comparison.run import Compared
+from adaptrack.comparison.table import Comparison
+from adaptrack.comparison.views import standing_rows
+from adaptrack.control.controllers import about_controller
+from adaptrack.results.dots import Dot, dots_panel, notes
+from adaptrack.results.words import counted, data_text, number, span
+
+OURS, PAPER, OTHERS = SERIES[0], SERIES[1], "muted"
+"""Colours of our controllers, the paper's, and all others."""
+COLOURS = "Blue: ours; orange: the paper's; grey: others."
+_PAPERS = ("as-written", "as-released", "nn", "anfis", "published")
+_ROW = 0.19
+"""inch, of a row of a picture with a row for each contender"""
+MAX_FAILED_RUNS = 10
+"""Failed runs in the table on console and page."""
+
+CONTENDERS = (
+    Column("label", "Contender"),
+    Column("rank", "Rank"),
+    Column("rms_ratio", "RMS error", "ratio", 3),
+    Column("rms_interval", "95 %", "of the ratio", 3),
+    Column("cost_ratio", "Cost J", "ratio", 3),
+    Column("cost_interval", "95 %", "of the ratio", 3),
+    Column("rms_error", "RMS", "m", 2),
+    Column("p95_error", "p95", "m", 2),
+    Column("max_corner", "Corner", "m", 2),
+    Column("steering_rate", "Steering", "rad/s", 2),
+    Column("acceleration", "Lateral", "m/s²", 2),
+    Column("entry_speed", "3888-2", "km/h", 2),
+    Column("failures", "Failed", "runs"),
+    Column("runs", "Of", "runs"),
+)
+BEST = {
+    **dict.fromkeys(("rms_ratio", "cost_ratio", "rms_error", "p95_error", "max_corner", "failures"), min),
+    "entry_speed": max,
+}
+"""The function that picks the best value of a column."""
+CONSOLE = (
+    Column("label", "contender"),
+    Column("rank", "rank"),
+    Column("rms", "RMS e\nratio, 95 %"),
+    Column("cost_ratio", "J\nratio", "", 3),
+    Column("rms_error", "RMS e", "m", 2),
+    Column("failed", "failed"),
+    Column("entry_speed", "3888-2", "km/h", "whole"),
+)
+FAILED_RUNS = (
+    Column("label", "Contender"),
+    Column("car", "Car"),
+    Column("profile", "Profile"),
+    Column("road", "Road"),
+    Column("seed", "Seed"),
+    Column("reason", "Reason"),
+    Column("failed_at", "At", "s", 3),
+)
+LEFT_OUT_COLUMNS = (
+    Column("contender", "Left out"),
+    Column("where", "Profile: cars"),
+    Column("why", "Reason"),
+)
+_NOTE = (
+    "Bold: best of the column. Ratios: geometric means over cars and roads of means over the noise seeds. A resample "
+    "of an interval draws cars and roads; with one car and one road, noise seeds. A failed run counts as an error of 5 "
+    "m, and as 25 m² in J = mean e² + weight of the profile × mean (change of command)². Rank: 1 + the number of "
+    "contenders whose ratio to this one has an interval below 1; equal ranks are not ordered. RMS, p95 (median of the "
+    "runs) and largest corner error count until a run's end or failure. Steering: RMS rate of the command. Lateral: "
+    "largest acceleration of a run as UN R79 evaluates it, 95th percentile of the runs. 3888-2: highest clean entry "
+    "speed into the obstacle avoidance, mean over the cars."
+)
+
+
+def compare_result(compared: Compared, *, command: str = "", next_step: str = "") -> Result:
+    """The result of a comparison; its record holds a row of each contender in each profile, and every cell.
+
+    command: the command line that makes it again; next_step: what to do next, with the command.
+    """
+    comparisons, task = compared.by_profile, compared.task
+    rows = {profile: profile_rows(compared, profile) for profile in comparisons}
+    last = list(comparisons)[-1]
+    cars = counted(len(set(compared.columns["car"])), "car")
+    return Result(
+        kind="compare",
+        title=f"{counted(len(task.contenders), 'controller')} on {cars} and {counted(len(task.roads), 'road')}",
+        answer="\n".join(headline(profile, ranking) for profile, ranking in rows.items()),
+        record=_record(compared, rows),
+        tables=[
+            *(contender_table(profile, ranking) for profile, ranking in rows.items()),
+            *(console_table(profile, ranking, comparisons[profile]) for profile, ranking in rows.items()),
+            _failures_by_car(compared),
+            *_failed_runs_table(compared),
+            *_left_out_table(compared),
+        ],
+        pictures=[_ratios(last, rows[last], comparisons[last].reference), _work(rows), *_entry_speeds(compared)],
+        values={
+            "profiles": list(rows), "reference": comparisons[last].reference, "task": task,
+            "contenders": [(name, about_contender(name).words) for name in task.contenders],
+        },
+        command=command,
+        next_step=next_step,
+    )  # fmt: skip
+
+
+def headline(profile: str, rows: Sequence[Row]) -> str:
+    """The contender with the smallest RMS error and the failed runs; rows: of `standing_rows`."""
+    failed, runs = (sum(row[key] for row in rows) for key in ("failures", "runs"))
+    best = f"smallest RMS error {number(rows[0]['rms_error'])} m, {rows[0]['label']}"
+    return f"Profile {profile}: {best}; {number(failed)} of {number(runs)} runs failed."
+
+
+def colour_of(contender: str) -> str:
+    """The colour of a controller in every picture of the page."""
+    return PAPER if contender in _PAPERS else OURS if about_controller(contender).ours else OTHERS
+
+
+def profile_rows(compared: Compared, profile: str) -> list[dict[str, Any]]:
+    """The rows of a profile, see `views.standing_rows`, with the mean entry speed over the cars (km/h)."""
+    speeds, rows = compared.entry_speeds(profile), []
+    for row in standing_rows(compared.by_profile[profile]):
+        by_car = speeds.get(row["label"], {})
+        rows.append({**row, "entry_speed": 3.6 * sum(by_car.values()) / len(by_car) if by_car else None})
+    return rows
+
+
+def _record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, Any]:
+    return {
+        "name": compared.task.name,
+        "profiles": dict(rows),
+        "failed_runs": compared.failed_runs,
+        "left_out": [{**vars(cell), "why": why} for cell, why in compared.left_out.items()],
+        "cells": [
+            {**vars(cell), **{key: value for key, value in result.items() if key != "rows"}}
+            for cell, result in compared.cells.items()
+        ],
+    }
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
+    """All contenders in a profile, for the page; columns without a value are left out."""
+    shown = [
+        {**row, "rms_interval": (row["rms_low"], row["rms_high"]), "cost_interval": (row["cost_low"], row["cost_high"])}
+        for row in rows
+    ]
+    columns = [column for column in CONTENDERS if any(row[column.name] is not None for row in shown)]
+    failed = where(shown, ["failures"], lambda row: row["failures"] > 0)
+    return ResultTable(
+        profile, f"Contenders in profile {profile}", columns, shown, _NOTE, best=_best_cells(shown), alert=failed
+    )
+
+
+def _best_cells(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
+    """(row, column) of the best values, in columns that tell the contenders apart."""
+    cells = set()
+    for name, best in BEST.items():
+        values = [row[name] for row in rows if row[name] is not None]
+        if values and min(values) < max(values):
+            cells |= {(i, name) for i, row in enumerate(rows) if row[name] == best(values)}
+    return frozenset(cells)
+
+
+def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> ResultTable:
+    """All contenders in a profile, for the console."""
+    shown = [
+        {
+            "entry_speed": None, **row, "failed": f"{row['failures']}/{row['runs']}",
+            "rms": f"{row['rms_ratio']:.3g} [{row['rms_low']:.2g}-{row['rms_high']:.2g}]",
+        }
+        for row in rows
+    ]  # fmt: skip
+    columns = [column for column in CONSOLE if any(row[column.name] is not None for row in shown)]
+    numbers = (len(comparison.cars), "car"), (len(comparison.roads), "road"), (len(comparison.seeds), "noise seed")
+    size = ", ".join(counted(n, noun) for n, noun in numbers)
+    title = f"{profile}: {size}; ratio to {comparison.reference}"
+    return ResultTable(f"console {profile}", title, columns, shown, brief=True)
+
+
+def _failures_by_car(compared: Compared) -> ResultTable:
+    """Failed runs of each contender with each car."""
+    cars = list(dict.fromkeys(compared.columns["car"].tolist()))
+    rows, runs_of_car = [], dict[str, list[int]]()
+    for profile, table in compared.by_profile.items():
+        for contender in table.contenders:
+            row: dict[str, Any] = {"label": contender, "profile": f"Profile {profile}"}
+            for car in cars:
+                runs = table.of(contender, "failed")[table.cars.index(car)] if car in table.cars else np.empty(0)
+                count = int(np.isfinite(runs).sum())
+                row[car] = int(np.nansum(runs)) if count else None
+                runs_of_car.setdefault(car, []).extend([count] if count else [])
+            rows.append(row)
+    columns = [
+        Column(car, car.partition("/")[0], f"of {span(np.array(runs_of_car[car], dtype=float))}") for car in cars
+    ]
+    alert = frozenset((i, car) for i, row in enumerate(rows) for car in cars if row[car])
+    return ResultTable(
+        "failures", "Failed runs by car", [Column("label", "Contender"), *columns], rows, "", "profile", alert=alert
+    )
+
+
+def _failed_runs_table(compared: Compared) -> list[ResultTable]:
+    """The first failed runs; none if no run failed."""
+    runs = compared.failed_runs
+    note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
+    shown = runs[:MAX_FAILED_RUNS]
+    return [ResultTable("failed runs", "Failed runs", FAILED_RUNS, shown, note, brief=True)] if shown else []
+
+
+def _left_out_table(compared: Compared) -> list[ResultTable]:
+    """Contenders that do not fit a car or a profile, if there are any."""
+    cars: dict[tuple[str, str, str], list[str]] = {}
+    for cell, why in compared.left_out.items():
+        cars.setdefault((cell.contender, cell.profile, why), []).append(cell.car)
+    rows = [
+        {"contender": contender, "where": f"{profile}: {', '.join(names)}", "why": why}
+        for (contender, profile, why), names in cars.items()
+    ]
+    return [ResultTable("left out", "Left out", LEFT_OUT_COLUMNS, rows, brief=True)] if rows else []
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
+    """A dot and its interval for each contender, the best first."""
+    dots = [
+        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], colour_of(row["contender"]),
+            row["failures"] > 0)
+        for row in rows
+    ]  # fmt: skip
+    label = f"RMS error / that of {reference}"
+    caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
+    panel, size = dots_panel(dots, data_text(label), label, level=1.0)
+    return Picture("verdict", caption + notes(dots), [panel], (), "ratios.png", 1, size[1], size)
+
+
+def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
+    caption = (
+        "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders. "
+        + COLOURS
+    )
+    panels = [_work_panel(profile, ranking) for profile, ranking in rows.items()]
+    return Picture("work", caption, panels, (), "work.png", 2, 3.0)
+
+
+def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
+    rows = [row for row in ranking if row["tuning"] != "default"] or ranking
+    rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
+    marks: list[Mark] = []
+    for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
+        colour, at_left = colour_of(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
+        place = (rate / 1.06 if at_left else 1.06 * rate, height)
+        marks += [
+            Dots([rate], [error], colour),
+            Callout(rate, error, data_text(row["contender"]), place, colour, at_left),
+        ]
+    words = [f"{row['contender']}: {number(row['rms_error'])} m, {number(row['steering_rate'])} rad/s" for row in rows]
+    return Panel(
+        f"Profile {profile}", Axis("Steering rate (rad/s)", 0.8 * min(rates), 1.6 * max(rates), log=True),
+        Axis("RMS error (m)", 0.8 * min(errors), 1.6 * max(errors), log=True), marks, f"{'; '.join(words)}.",
+    )  # fmt: skip
+
+
+def _label_heights(values: Sequence[float]) -> list[float]:
+    """Heights of labels on a logarithmic axis: those of the values, moved up where one would cover another."""
+    logs = np.log(values)
+    gap = 0.055 * (np.ptp(logs) + math.log(2.0))  # the axis is twice as long as its values reach
+    order = np.argsort(logs)
+    heights = logs.copy()
+    for below, above in itertools.pairwise(order):
+        heights[above] = max(heights[above], heights[below] + gap)
+    return np.exp(heights).tolist()
+
+
+def _entry_speeds(compared: Compared) -> list[Picture]:
+    speeds = {profile: compared.entry_speeds(profile) for profile in compared.by_profile}
+    panels = [
+        _entry_panel(table, profile, speeds[profile])
+        for profile, table in compared.by_profile.items()
+        if speeds[profile]
+    ]
+    caption = (
+        "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, of the worst of three noise seeds; a dot "
+        f"for each car, at 0 where no speed was clean, and a bar at their mean. {COLOURS}"
+    )
+    height = 0.75 + _ROW * max(map(len, speeds.values()), default=0)
+    return [Picture("entry", caption, panels, (), "entry.png", 1, height, (5.2, height))] if panels else []
+
+
+def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[str, float]]) -> Panel:
+    rows = sorted(speeds.items(), key=lambda row: -float(np.mean(list(row[1].values()))))
+    marks: list[Mark] = []
+    for place, (contender, cars) in enumerate(rows):
+        values, colour = 3.6 * np.array(list(cars.values())), colour_of(table.role(contender).controller)
+        mean = float(values.mean())
+        marks.append(Dots(values, np.full(len(values), place), colour, size=3.5, opacity=0.6))
+        marks.append(Polyline([mean, mean], [place - 0.35, place + 0.35], Stroke(colour), 2.0))
+    fastest = 3.6 * max(max(cars.values()) for _, cars in rows) or 1.0
+    best, cars = rows[0]
+    return Panel(
+        "", Axis(f"Entry speed (km/h), profile {profile}", -0.02 * fastest, 1.04 * fastest),
+        Axis(names=[data_text(contender) for contender, _ in rows]), marks,
+        f"Entry speeds in profile {profile}; highest mean: {best}, {number(3.6 * float(np.mean(list(cars.values()))))} "
+        "km/h.",
+    )  # fmt: skip

@@ -1,0 +1,79 @@
+"""The results of `tune`: the constant of a car, and the tuning of a controller on given roads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from adaptrack.base.result import Column, Result, ResultTable
+from adaptrack.comparison.table import finite
+from adaptrack.comparison.tune_on_roads import TunedOnRoads
+from adaptrack.comparison.views import standing_rows
+from adaptrack.results.compare import console_table
+from adaptrack.tuning.car import TunedCar
+
+CAR_COLUMNS = (
+    Column("tuning", "tuning"),
+    Column("Np", "Np", "periods", "whole"),
+    Column("Nc", "Nc", "periods", "whole"),
+    Column("ratio", "R/Q", "", 4),
+    Column("cost", "cost J", "m²", 3),
+    Column("failed", "failed\ndrives"),
+)
+SURE = "The search replaces the default only if it is better with 95 % confidence and fails no more often."
+STAND_IN = "The plant has no linear model: the certificate is that of the car in the controller's file."
+
+
+def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) -> Result:
+    """The constant tuning of a car; files: of the car and its tuning."""
+    record = tuned.summary()
+    rows = [
+        {
+            "tuning": f"{name}{' (chosen)' if tuned.tuning == tuning else ''}", "Np": tuning.Np, "Nc": tuning.Nc,
+            "ratio": tuning.R / tuning.Q, "cost": record["cost"][name], "failed": record["failed"][name],
+        }
+        for name, tuning in (("default", tuned.default), ("sought", tuned.sought))
+    ]  # fmt: skip
+    notes = [f"Certificate: {tuned.certificate.verdict}"]
+    notes += [] if tuned.feasibility.passed else [tuned.feasibility.verdict]
+    notes += [] if tuned.certificate.plant == tuned.plant else [STAND_IN]
+    notes += [f"Steering model of the controller: {tuned.controller.belief_at_first}."]
+    return Result(
+        kind="tuned-car",
+        title=f"Tuning of {tuned.controller.model.vehicle.name}",
+        answer=tuned.headline,
+        record={**record, **files},
+        tables=[ResultTable("tunings", f"{record['drives']} unseen drives", CAR_COLUMNS, rows, SURE, brief=True)],
+        notes=[*notes, *(f"{name.replace('_', ' ')}: {path}" for name, path in files.items())],
+        failed=not tuned.passed,
+        next_step=next_step,
+    )
+
+
+def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result:
+    """The tuning of a controller on given roads, judged with other noise."""
+    search, judgement, name = tuned.search, tuned.judgement, tuned.file.controller
+    over, rows = judgement.ratio("tuned", "default"), standing_rows(judgement)
+    entries = [{"entry": key, "default": search.default[key], "tuned": value} for key, value in search.tuning.items()]
+    columns = (Column("entry", "entry"), Column("default", "default", "", 4), Column("tuned", "tuned", "", 4))
+    at_bounds = f"At a bound of the search: {', '.join(search.at_bounds)}." if search.at_bounds else ""
+    notes = [f"Steering model of the controller: {tuned.file.belief}."] if tuned.file.belief else []
+    record: dict[str, Any] = {
+        "tuning": file, "controller": name, "entries": search.tuning, "default": search.default,
+        "better": search.better, "at_bounds": search.at_bounds, "cost": search.cost,
+        "default_cost": search.default_cost, "belief": tuned.file.belief, "runs": tuned.loops,
+        "seconds": tuned.seconds, "gain": over._asdict(), "rows": finite(rows),
+    }  # fmt: skip
+    return Result(
+        kind="tuned-roads",
+        title=f"Tuning of {name}",
+        answer=f"Cost of {name}, tuned: {over.mean:.3g} times the default's, 95 % interval {over.low:.3g} to "
+        f"{over.high:.3g}, with noise that the search did not use.",
+        record=record,
+        tables=[
+            console_table(tuned.file.profile, rows, judgement),
+            ResultTable("entries", "Tuning", columns, entries, at_bounds, brief=True),
+        ],
+        notes=[*notes, f"tuning file: {file}"],
+        next_step=next_step,
+    )

@@ -1,1 +1,0 @@
-"""Whole studies: comparison of controllers, shadow mode, and the constant of a car."""
