@@ -116,7 +116,8 @@ class PlaceOptions:
     def _road_words(self) -> list[str]:
         """The options on the command line that only roads have."""
         values = {"--laps": self.laps, "--wind": self.wind, "--start-offset": self.start_offset}
-        return [*self.route.named, *(name for name, value in values.items() if value is not None)]
+        flags = [word for word in self.route.words if word.startswith("--")]
+        return [*flags, *(name for name, value in values.items() if value is not None)]
 
     def _refuse(self, words: Sequence[str], kind: str, owner: str) -> None:
         if words:

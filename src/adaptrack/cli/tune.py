@@ -13,7 +13,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
 from adaptrack.cli.road import ROADS
-from adaptrack.cli.simulate import FAILED
+from adaptrack.cli.options import FAILED
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result

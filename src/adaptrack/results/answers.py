@@ -61,8 +61,6 @@ def of_certificate(found: Certificate) -> str:
     return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {found.verdict}"
 
 
-
-
 # -- cars -------------------------------------------------------------------------------------------------------------
 def of_car(vehicle: Vehicle) -> str:
     """What a car is like to steer, and how much of it is estimated."""
