@@ -182,8 +182,6 @@ _PUBLIC = {
     "tuning.car": ("TunedCar", "TuningEffort", "tune"),
     "comparison.contenders": (
         "Contender",
-        "get_contender",
-        "list_contenders",
     ),
     "identification.shadow": ("Shadow", "shadow"),
     "export.c_library": ("export_c",),
@@ -230,7 +228,7 @@ if TYPE_CHECKING:
         load_tyre,
         load_vehicle,
     )
-    from adaptrack.comparison.contenders import Contender, get_contender, list_contenders
+    from adaptrack.comparison.contenders import Contender
     from adaptrack.control.controllers import (
         LQR,
         MPC,
@@ -413,7 +411,6 @@ __all__ = [
     "find_failure",
     "fit_road",
     "generate_road",
-    "get_contender",
     "get_controller",
     "get_estimator",
     "get_model",
@@ -421,7 +418,6 @@ __all__ = [
     "get_qp_solver",
     "identify",
     "informed_tuning",
-    "list_contenders",
     "list_controllers",
     "list_estimators",
     "list_models",
