@@ -290,6 +290,8 @@ def test_the_headline_counts_the_errors_near_the_papers(made, result):
     ratios = [row["ratio"] for row in made.rows if row["configuration"] == "released" and row["ratio"] is not None]
     near = sum(abs(ratio - 1.0) <= 0.25 for ratio in ratios)
     assert result.answer == f"{near} of the paper's 6 mean square errors come out within 25 %."
+    for row in result.table("shares").rows:
+        assert row["pole_percent"] + row["adaptation_percent"] == pytest.approx(100.0, abs=1.0)
     assert [row["paper triple-lane-change"] for row in result.table("published").rows] == [0.0318, 0.0051, 0.0062]
 
 

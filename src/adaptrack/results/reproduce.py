@@ -174,8 +174,7 @@ def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable
                 run["controller"], {"name": NAMES[run["controller"]], "moves": MOVES[run["moves"]]}
             )
             row[f"{word} {run['scenario']}"] = run
-    table = errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()), BOLD)
-    return replace(table, brief=True)
+    return errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()), BOLD)
 
 
 def _ablation_table(reproduction: Reproduction) -> ResultTable:
