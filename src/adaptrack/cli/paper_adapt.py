@@ -28,9 +28,9 @@ ROUND_COLUMNS = (
 class AdaptOptions:
     """Options of `adaptrack paper adapt`."""
 
-    campaign: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file of a Sobol sample.")] = (
-        "road-sobol"
-    )
+    campaign: Annotated[
+        str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file; its operating points are a Sobol sample.")
+    ] = "road-sobol"
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of campaign and schedules; it can be resumed.")]
     profile: options.OtherProfile = None
     workers: options.Workers = None
