@@ -136,7 +136,7 @@ def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
     assert [row["name"] for row in rows] == list_schedulers()
     assert {(row["car"], row["profile"]) for row in rows} == {("paper", "road")}
     inputs = {row["name"]: row["inputs"] for row in rows}
-    assert inputs["road-nn"] == ", ".join(learning_task.INPUTS)
+    assert inputs["road-nn"] == ", ".join(learning_task.LEARNED_INPUTS)
     code, out, _ = run(monkeypatch, capsys, "schedulers")
     assert code == 0
     assert all(name in out for name in list_schedulers())
@@ -157,7 +157,7 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
     assert [row["contender"] for row in told["rows"]] == ["nn", "anfis"]
 
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.results.evaluation.NODES", (9, 7))
+    monkeypatch.setattr("adaptrack.results.evaluation.SURFACE_NODES", (9, 7))
     page = tmp_path / "page"
     command = ("paper", "evaluate", folder, "--campaign", chain.file, "--operating-points", 4, "--drives", 1, "--tests",
                "--known-as", "noisy", "--scheduler", places["mine"])  # fmt: skip
