@@ -26,7 +26,7 @@ from adaptrack.control.scheduling import (
 )
 from adaptrack.drive.metrics import PUBLISHED
 from adaptrack.paper import adaptation, evaluation, improvement, landscape, learning_task
-from adaptrack.paper.adaptation import CONTENDERS, identity_of, shipped_schedules
+from adaptrack.paper.adaptation import CONTENDER_NAMES, identity_of, shipped_schedules
 from adaptrack.paper.campaign_config import list_campaigns, load_campaign
 from adaptrack.paper.data_set import load_dataset
 from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
@@ -139,13 +139,16 @@ def test_an_evaluation_on_operating_points_that_were_learned_from_is_refused(tmp
 
 
 def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
-    assert set(shipped_schedules()) == set(CONTENDERS)
+    assert set(shipped_schedules()) == set(CONTENDER_NAMES)
     campaign = load_dataset("road-sobol").provenance["identity"]
     for schedule in shipped_schedules().values():
         settings = schedule.provenance["settings"]
         method, learning = settings["method"], settings["learning"]
         assert schedule.provenance["campaign"] == campaign
-        assert (settings["seed"], tuple(learning["inputs"])) == (learning_task.SEED, learning_task.INPUTS)
+        assert (settings["seed"], tuple(learning["inputs"])) == (
+            learning_task.LEARNING_SEED,
+            learning_task.LEARNED_INPUTS,
+        )
         effort = Effort()
         runs, steps, shape = method["runs"], method["improvement"], method["landscape"]
         assert [learning[key] for key in ("rounds", "operating_points", "drives", "hard_drives", "rules")] == [
@@ -153,22 +156,22 @@ def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
         ]  # fmt: skip
         assert (runs["held_out_points"], runs["held_out_drives"], runs["segment"]) == (*effort[4:6], 2.0)
         assert tuple(runs[f"round_{part}"] for part in ("points", "drives", "hard_drives")) == effort.round_runs
-        assert shape["shift"] == landscape.SHIFT.tolist()
+        assert shape["shift"] == landscape.OUTPUT_SHIFT.tolist()
         assert shape["least_curvature"] == landscape.MIN_CURVATURE.tolist()
         assert (shape["least_share"], shape["worst_segment"]) == (landscape.MIN_SHARE, landscape.MAX_SEGMENT_COST)
         assert (steps["damping"], steps["damping_end"]) == (improvement.DAMPING, improvement.FINAL_DAMPING)
         assert (steps["check"], steps["averaged"]) == (improvement.CHECK_INTERVAL, improvement.AVERAGED_ROUNDS)
-        assert {key: tuple(steps[key]) for key in improvement.BOUNDS} == improvement.BOUNDS
+        assert {key: tuple(steps[key]) for key in improvement.TUNING_BOUNDS} == improvement.TUNING_BOUNDS
         assert method["constants"]["evaluations"] == effort.constant_tunings
         assert {key: method["guard"][key] for key in ("slack", "hold", "offset_limit")} == {
-            key: adaptation.GUARD[key] for key in ("slack", "hold", "offset_limit")
+            key: adaptation.GUARD_OPTIONS[key] for key in ("slack", "hold", "offset_limit")
         }
 
 
 # -- the chain --------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_an_adaptation_writes_one_file_for_each_contender(chain, rng):
-    assert set(contents(chain.folder)) == {f"{name.replace(' ', '-')}.json" for name in CONTENDERS}
+    assert set(contents(chain.folder)) == {f"{name.replace(' ', '-')}.json" for name in CONTENDER_NAMES}
     points = rng.uniform((3.0, -7.0, 0.3, -30.0), (30.0, 7.0, 1.0, 30.0), (50, 4))
     schedules = adaptation.read_schedules(chain.folder)
     for name, schedule in schedules.items():
@@ -259,7 +262,7 @@ def test_a_node_of_the_look_up_table_has_the_tuning_with_the_lowest_mean_log_cos
     points = dataset.operating_points[:, [0, 2]]
     for speed in nodes["speed"]:
         distance = (((points - [speed, 0.6]) / np.ptp(points, axis=0)) ** 2).sum(axis=1)
-        near = np.argsort(distance)[: adaptation.NEIGHBOURS]
+        near = np.argsort(distance)[: adaptation.LOOKUP_NEIGHBOURS]
         best = np.argmin(np.log(dataset.landscape[near].astype(float)).mean(axis=0))
         np.testing.assert_allclose(table.batch([[speed, 0.0, 0.6, 0.0]])[0], dataset.library[best])
 
@@ -277,7 +280,7 @@ def test_the_map_covers_the_box_driving_straight_and_has_less_margin_at_low_spee
     stability = adaptation.stability_map(task_of(tmp_path))
     assert (options["speed"], options["friction"], options["profile"].name) == ((8.0, 25.0), (0.5, 1.0), "road")
     assert options["turn"] is None
-    assert stability.limit == 1.0 - adaptation.MARGIN
+    assert stability.limit == 1.0 - adaptation.GUARD_MARGIN
     slow = 0.5 + adaptation.SLOW_MARGIN
     assert [np.unique(level).tolist() for level in stability.table.values] == [[slow], [slow], [0.5], [0.5]]
 
@@ -319,7 +322,7 @@ def check_guard(guarded, rng):
     assert peak(tunings)[~fallback].max() <= stability.limit + 1e-9
     ends = np.sort(np.stack([coordinates(bare), np.broadcast_to(coordinates(safe[None]), (len(rows), 3))]), axis=0)
     assert ((coordinates(tunings) >= ends[0] - 1e-9) & (coordinates(tunings) <= ends[1] + 1e-9)).all()
-    for name, (low, high) in improvement.BOUNDS.items():
+    for name, (low, high) in improvement.TUNING_BOUNDS.items():
         values = tunings[:, ENTRIES.index(name)]
         assert low <= values.min() <= values.max() <= high
     corners = np.array(list(itertools.product(*axes[:2])))
@@ -340,7 +343,7 @@ def some_schedules():
     """A schedule for each contender, with its own Np."""
     return {
         name: Lookup({"speed": [0.0, 40.0]}, [[20 + i, 5, 1.0, 1e3], [20 + i, 5, 1.0, 1e5]], name=name)
-        for i, name in enumerate(CONTENDERS)
+        for i, name in enumerate(CONTENDER_NAMES)
     }
 
 

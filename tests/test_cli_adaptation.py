@@ -144,7 +144,7 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
     assert [row["contender"] for row in told["rows"]] == ["nn", "anfis"]
 
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.results.evaluation.NODES", (9, 7))
+    monkeypatch.setattr("adaptrack.results.evaluation.SURFACE_NODES", (9, 7))
     page = tmp_path / "page"
     command = ("paper", "evaluate", folder, "--campaign", chain.file, "--operating-points", 4, "--drives", 1, "--tests",
                "--known-as", "noisy", "--scheduler", places["mine"])  # fmt: skip

@@ -16,12 +16,12 @@ from adaptrack.base.statistics import geometric_mean
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Learned, Number, SchedulingVariables
 from adaptrack.paper import improvement
-from adaptrack.paper.improvement import BOUNDS, REVISITED, Learnable, improve
+from adaptrack.paper.improvement import REVISITED, TUNING_BOUNDS, Learnable, improve
 from adaptrack.paper.landscape import (
+    LEARNED_OUTPUTS,
     MAX_SEGMENT_COST,
     MIN_CURVATURE,
-    OUTPUTS,
-    SHIFT,
+    OUTPUT_SHIFT,
     Rescue,
     explore_landscape,
     preferred_moves,
@@ -36,13 +36,13 @@ FAILED_COST = RunSet.failure.distance**2
 def three_costs(cost):
     """Costs without a shift, and with each output shifted up and down, of segments that cost cost(shifts) (n,)."""
     base = cost(np.zeros(3))
-    up, down = (np.stack([cost(sign * by) for by in np.diag(SHIFT)], axis=1) for sign in (1.0, -1.0))
+    up, down = (np.stack([cost(sign * by) for by in np.diag(OUTPUT_SHIFT)], axis=1) for sign in (1.0, -1.0))
     return base, up, down
 
 
 # -- moves ------------------------------------------------------------------------------------------------------------
 def test_the_minimum_of_a_parabola_is_found_exactly(rng):
-    best = rng.uniform(-2.0, 2.0, (50, 3)) * SHIFT
+    best = rng.uniform(-2.0, 2.0, (50, 3)) * OUTPUT_SHIFT
     bend = MIN_CURVATURE * rng.uniform(2.0, 50.0, (50, 3))  # the second derivative
     moves, weights = preferred_moves(
         *three_costs(lambda by: 0.4 + 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(50)
@@ -53,7 +53,7 @@ def test_the_minimum_of_a_parabola_is_found_exactly(rng):
 
 def test_the_minimum_of_a_sum_of_parabolas_is_the_weighted_mean_of_their_minima(rng):
     """Why the weight is the curvature: what no input can tell apart shares one move, and it is Newton's."""
-    best = rng.uniform(-1.0, 1.0, (30, 3)) * SHIFT
+    best = rng.uniform(-1.0, 1.0, (30, 3)) * OUTPUT_SHIFT
     bend = MIN_CURVATURE * rng.uniform(2.0, 50.0, (30, 3))
     moves, weights = preferred_moves(*three_costs(lambda by: 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(30))
     for i in range(3):
@@ -68,22 +68,22 @@ COSTS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e
 def test_whatever_the_costs_a_move_is_at_most_two_shifts_long(costs, share):
     base, up, down = np.array(costs[:1]), np.array([costs[1:4]]), np.array([costs[4:]])
     moves, weights = preferred_moves(base, up, down, np.array([share]))
-    assert (np.abs(moves) <= 2.0 * SHIFT * (1.0 + 1e-12)).all()
+    assert (np.abs(moves) <= 2.0 * OUTPUT_SHIFT * (1.0 + 1e-12)).all()
     assert (weights >= 0.0).all()
     assert np.isfinite(weights).all()
 
 
 def test_on_a_concave_landscape_the_move_goes_downhill_two_shifts_and_no_further():
     moves, weights = preferred_moves(
-        *three_costs(lambda by: np.array([5.0 - (by / SHIFT + 0.5) @ (by / SHIFT + 0.5)])), np.ones(1)
+        *three_costs(lambda by: np.array([5.0 - (by / OUTPUT_SHIFT + 0.5) @ (by / OUTPUT_SHIFT + 0.5)])), np.ones(1)
     )
-    np.testing.assert_allclose(moves, [2.0 * SHIFT])
-    np.testing.assert_allclose(weights, [1.0 / (2.0 * SHIFT**2)])
+    np.testing.assert_allclose(moves, [2.0 * OUTPUT_SHIFT])
+    np.testing.assert_allclose(weights, [1.0 / (2.0 * OUTPUT_SHIFT**2)])
 
 
 def test_an_unknown_cost_weighs_nothing_for_its_own_output_only():
     for unknown, which in itertools.product((np.nan, np.inf), ("base", "up", "down")):
-        costs = three_costs(lambda by: np.full(2, 1.0 + (by / SHIFT) @ (by / SHIFT)))
+        costs = three_costs(lambda by: np.full(2, 1.0 + (by / OUTPUT_SHIFT) @ (by / OUTPUT_SHIFT)))
         costs = {name: values.copy() for name, values in zip(("base", "up", "down"), costs, strict=True)}
         costs[which][(0,) if which == "base" else (0, 1)] = unknown
         moves, weights = preferred_moves(**costs, share=np.ones(2))
@@ -112,7 +112,7 @@ class Bowl(RunSet):
         self.asked.append(seed)
         rows = self.variables[which, :: self.segment]
         Np, Nc, Q, R = np.moveaxis(policy.batch(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], 4), -1, 0)
-        away = (np.stack([Np, Nc, np.log10(R / Q)], axis=-1) - self.best(rows)) / SHIFT
+        away = (np.stack([Np, Nc, np.log10(R / Q)], axis=-1) - self.best(rows)) / OUTPUT_SHIFT
         luck = np.exp(self.noise * np.random.default_rng(seed).normal(size=(len(self), rows.shape[1])))[which]
         return self.scale_of[which, None] * luck * (0.3 + (away**2).sum(axis=-1))
 
@@ -132,7 +132,7 @@ def along_speed_and_friction(rows):
 
 
 INPUTS, DOMAIN = ("speed", "friction"), np.array([[5.0, 30.0], [0.3, 1.0]])
-BEGIN = dict(zip(OUTPUTS, ((29.0, 10.0), (6.0, 5.0), (3.6, 0.5)), strict=True))
+BEGIN = dict(zip(LEARNED_OUTPUTS, ((29.0, 10.0), (6.0, 5.0), (3.6, 0.5)), strict=True))
 
 
 def beginning(kind):
@@ -157,9 +157,9 @@ def check_every(monkeypatch):
 def constant_schedule(by):
     """START, shifted."""
     values = (float(START.Np), float(START.Nc), math.log10(START.R))
-    pairs = enumerate(zip(OUTPUTS, values, strict=True))
+    pairs = enumerate(zip(LEARNED_OUTPUTS, values, strict=True))
     functions = {slot: Number(value).shifted(by[i]) for i, (slot, value) in pairs}
-    return Learned(functions, INPUTS, DOMAIN, BOUNDS)
+    return Learned(functions, INPUTS, DOMAIN, TUNING_BOUNDS)
 
 
 def test_the_landscape_says_for_every_segment_where_its_inputs_want_to_go():
@@ -170,7 +170,7 @@ def test_the_landscape_says_for_every_segment_where_its_inputs_want_to_go():
     assert moves.shape == weights.shape == (3 * 3 * 2, 3)
     wanted = along_speed_and_friction(rows) - [START.Np, START.Nc, math.log10(START.R)]
     exact = np.array([True, False, True])  # Nc is rounded, its shift is not whole
-    near = (np.abs(wanted) <= 2.0 * SHIFT) & exact
+    near = (np.abs(wanted) <= 2.0 * OUTPUT_SHIFT) & exact
     assert near.sum() > 5
     np.testing.assert_allclose(moves[near], wanted[near], rtol=0, atol=1e-9)
     assert (np.sign(moves) == np.sign(wanted))[:, exact].all()
@@ -215,10 +215,10 @@ def test_where_a_shift_makes_a_run_fail_the_output_moves_away_and_what_follows_s
     _, moves, weights = explore_landscape(failing, constant_schedule, 1, np.arange(48))
     segment = np.repeat(np.arange(3), 48 * 2)
     assert (moves[segment == 0][:, 0] == 0.0).all()
-    np.testing.assert_allclose(moves[segment == 1][:, 0], -0.5 * SHIFT[0], rtol=0.02)
+    np.testing.assert_allclose(moves[segment == 1][:, 0], -0.5 * OUTPUT_SHIFT[0], rtol=0.02)
     assert (weights[segment == 2][:, 0] == 0.0).all()
     assert (weights[segment == 2][:, 2] > 0.0).all(), "the other outputs' shifts fail nowhere"
-    worst = MAX_SEGMENT_COST / SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
+    worst = MAX_SEGMENT_COST / OUTPUT_SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
     assert weights[:, 0].max() <= worst / 2 / 48  # two looks in each segment of 48 runs
 
 
@@ -299,11 +299,11 @@ def test_what_no_input_tells_apart_gets_the_compromise():
     made = improve(beginning("constant"), [(bowl, 48)], [bowl], rounds=30)
 
     def cost(by):
-        pairs = zip(OUTPUTS, by, strict=True)
+        pairs = zip(LEARNED_OUTPUTS, by, strict=True)
         functions = {slot: Number(made.surfaces[slot].value).shifted(shift) for slot, shift in pairs}
-        return bowl.costs(Learned(functions, INPUTS, DOMAIN, BOUNDS), [0]).mean()
+        return bowl.costs(Learned(functions, INPUTS, DOMAIN, TUNING_BOUNDS), [0]).mean()
 
-    for by in 2.0 * np.diag(SHIFT):
+    for by in 2.0 * np.diag(OUTPUT_SHIFT):
         assert cost(np.zeros(3)) < min(cost(by), cost(-by))
 
 
@@ -354,7 +354,7 @@ def test_learned_tunings_stay_within_their_bounds_and_the_wish_to_leave_them_doe
 
     made = improve(beginning("constant"), [(Bowl(beyond), 8)], [Bowl(beyond)], rounds=30)
     assert made.schedule(SchedulingVariables(10.0, 0.0, 0.5, 0.0)) == pytest.approx((60.0, 1.0, 1.0, 1e6))
-    assert [made.surfaces[slot].value for slot in OUTPUTS] == pytest.approx([60.0, 1.0, 6.0])
+    assert [made.surfaces[slot].value for slot in LEARNED_OUTPUTS] == pytest.approx([60.0, 1.0, 6.0])
 
 
 class Watched(Level):
@@ -372,7 +372,9 @@ def test_it_learns_at_the_inputs_that_a_scheduler_would_see():
     """In their order, and clipped to the domain."""
     inputs, domain, bowl = ("friction", "speed"), np.array([[0.5, 0.8], [10.0, 20.0]]), Bowl(same_everywhere)
     Watched.fitted = []
-    improve(Learnable({slot: Watched(30.0) for slot in OUTPUTS}, inputs, domain), [(bowl, 48)], [bowl], rounds=1)
+    improve(
+        Learnable({slot: Watched(30.0) for slot in LEARNED_OUTPUTS}, inputs, domain), [(bowl, 48)], [bowl], rounds=1
+    )
     seen = bowl.variables[:, ::5].reshape(-1, len(SchedulingVariables._fields))[:, [2, 0]]
     for fitted in Watched.fitted:
         np.testing.assert_array_equal(np.unique(fitted, axis=0), np.unique(np.clip(seen, *domain.T), axis=0))
@@ -438,7 +440,7 @@ def test_a_missing_surface_and_an_input_unknown_before_driving_are_refused(chang
 @pytest.mark.compiled
 def test_on_real_runs_learning_lowers_the_cost_of_runs_that_it_never_saw(check_every):
     check_every(2)
-    slow = {slot: Level(value) for slot, value in zip(OUTPUTS, (45.0, 3.0, 4.6), strict=True)}
+    slow = {slot: Level(value) for slot, value in zip(LEARNED_OUTPUTS, (45.0, 3.0, 4.6), strict=True)}
     train, held_out = run_set(lane_changes(24, 4.0)[:16]), run_set(lane_changes(24, 4.0)[16:])
     made = improve(Learnable(slow, INPUTS, DOMAIN), [(train, 16)], [held_out], rounds=8)
     before = held_out.costs(Tuning(45, 3, 1.0, 10.0**4.6), [12345])

@@ -56,7 +56,7 @@ VIEWS = {
 def report(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, pictures(drawn=True):
         patch.setattr(style, "PNG_DPI", 20)
-        patch.setattr(evaluation, "NODES", (9, 7))
+        patch.setattr(evaluation, "SURFACE_NODES", (9, 7))
         result = evaluation_result(VIEWS, {"nn": schedule(), "anfis": schedule((10.0, 0.0))}, command="evaluate <now>")
         return write_result(tmp_path_factory.mktemp("evaluation") / "out", result)
 

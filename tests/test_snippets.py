@@ -42,15 +42,12 @@ LONG_COMMANDS = {
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""
 
 LONG_SNIPPETS = {
-    ("adaptation.md", "made = improve("): "1 minute",
-    ("adaptation.md", "compare("): "10 s, and needs the one before",
+    ("adaptation.md", "improve("): "1 minute",
     ("campaign.md", "run_campaign("): "5 minutes",
-    ("campaign.md", "data.landscape"): "20 s",
     ("certify.md", "loop_map("): "10 s",
     ("identify.md", "at.identify("): "10 s, and needs a log",
-    ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
+    ("models.md", 'train(load_dataset("paper-grid")'): "20 s",
     ("plants.md", "commonroad_plant("): "needs commonroad-vehicle-models",
-    ("reproduce.md", "train(data"): "10 s",
     ("schedulers.md", "train(data"): "20 s",
     ("shadow.md", "at.shadow("): "needs logs",
 }

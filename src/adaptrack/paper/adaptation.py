@@ -39,8 +39,8 @@ from adaptrack.paper.campaign import run_campaign, software_versions
 from adaptrack.paper.campaign_config import CampaignConfig
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import Learnable, Surfaces, Training, improve
-from adaptrack.paper.landscape import OUTPUTS
-from adaptrack.paper.learning_task import INPUTS, SEED, START, Effort, LearningTask
+from adaptrack.paper.landscape import LEARNED_OUTPUTS
+from adaptrack.paper.learning_task import LEARNED_INPUTS, LEARNING_SEED, START, Effort, LearningTask
 from adaptrack.paper.operating_points import NAMES
 from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.scenario.profile import load_profile
@@ -49,11 +49,11 @@ from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]
 Schedules = Mapping[str, Schedule]
-"""By contender, see `CONTENDERS`."""
+"""By contender, see `CONTENDER_NAMES`; schedules of other origin by another name."""
 Progress = Callable[[str, int, int], None]
 """Called with the name of the work, the steps done and their number."""
 
-CONTENDERS = ("fallback", "best constant", "best constant on drives", "look-up", "nn", "anfis")
+CONTENDER_NAMES = ("fallback", "best constant", "best constant on drives", "look-up", "nn", "anfis")
 """The schedules of an adaptation, in the order in which they are made: a domain without a fallback is refused first."""
 ANYWHERE = SchedulingVariables(15.0, 0.0, 0.7, 0.0)
 """A constant schedule has the same tuning everywhere."""
@@ -61,7 +61,7 @@ ANYWHERE = SchedulingVariables(15.0, 0.0, 0.7, 0.0)
 # The search for a constant
 CONSTANT_RUNS = 512
 """Runs that each tuning of the search drives."""
-CONSTANT_NOISE = 700_000 + SEED
+CONSTANT_NOISE = 700_000 + LEARNING_SEED
 CONSTANT_SPACE = SearchSpace(
     names=("Np", "Nc", "R"), low=(10.0, 1.0, 10.0), high=(60.0, 18.0, 1e6),
     whole=("Np", "Nc"), decades=("R",), ordered=("Nc", "Np"), spread=2.0,
@@ -79,8 +79,8 @@ FALLBACK_FAILURES = 1
 FALLBACK_NOISE = 1
 
 # The look-up table
-NODES = {"speed": 10, "y_ref": 7, "friction": 5, "wind": 5}
-NEIGHBOURS = 12
+LOOKUP_NODES = {"speed": 10, "y_ref": 7, "friction": 5, "wind": 5}
+LOOKUP_NEIGHBOURS = 12
 """Operating points that are averaged at a node, so that the noise of each optimum averages out."""
 
 # Networks and fuzzy systems before the first round: the same tuning everywhere
@@ -91,12 +91,12 @@ CLUSTERED_INPUTS, CLUSTER_STRIDE = 6000, 40
 """Inputs that are clustered for the centres of the rules, and the periods between two of them in a run."""
 
 # The guard
-MARGIN = 0.05
+GUARD_MARGIN = 0.05
 """Smallest modulus margin: with 0.03 scrambled weights failed in 4 of 1,800 drives, with 0.05 in none of 1,200; 0.08
 costs 6 % on operating points."""
 SLOW_SPEED, SLOW_MARGIN = 6.0, 0.05
 """m/s, below which the margin must be larger by that: loops change fastest there, and the map has few nodes."""
-GUARD: dict[str, Any] = {"slack": 1.0, "hold": 30, "offset_limit": 0.065, "rates": (5.0, 2.0, 0.3)}
+GUARD_OPTIONS: dict[str, Any] = {"slack": 1.0, "hold": 30, "offset_limit": 0.065, "rates": (5.0, 2.0, 0.3)}
 """Widths of the domain, periods, s^2, change in a period, see `Guarded`. Of 3,000 fast drives on slippery roads the
 networks failed in 35 without the offset limit and in 8 with 0.06 s^2, at the same cost."""
 
@@ -106,7 +106,7 @@ def adapt(
     campaign: CampaignConfig, out: str | os.PathLike[str], *, workers: int | None = None, effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Schedule]:  # fmt: skip
-    """Run a campaign and learn its schedules in a folder, or resume there; by contender, see `CONTENDERS`.
+    """Run a campaign and learn its schedules in a folder, or resume there; by contender, see `CONTENDER_NAMES`.
 
     The folder then holds the campaign and, in `schedulers`, one file for each contender.
 
@@ -120,7 +120,7 @@ def adapt(
     folder, task = Path(out), LearningTask.of(campaign, effort)
     makers = Makers(task, folder / "campaign", workers, progress or (lambda work, done, total: None))
     schedules: dict[str, Schedule] = {}
-    for contender in CONTENDERS:
+    for contender in CONTENDER_NAMES:
         file = folder / "schedulers" / f"{contender.replace(' ', '-')}.json"
         identity = identity_of(task, contender)
         schedule = _load_schedule(file, identity)
@@ -135,7 +135,7 @@ def adapt(
 # -- files ------------------------------------------------------------------------------------------------------------
 def shipped_schedules() -> dict[str, Schedule]:
     """The schedules that ship with the package (campaign road-sobol), by contender."""
-    return {contender: load_scheduler(f"road-{contender.replace(' ', '-')}") for contender in CONTENDERS}
+    return {contender: load_scheduler(f"road-{contender.replace(' ', '-')}") for contender in CONTENDER_NAMES}
 
 
 def read_schedules(folder: str | os.PathLike[str]) -> dict[str, Schedule]:
@@ -147,7 +147,7 @@ def read_schedules(folder: str | os.PathLike[str]) -> dict[str, Schedule]:
         When one is missing or cannot be read.
     """
     place = Path(folder) / "schedulers"
-    return {contender: load_scheduler(place / f"{contender.replace(' ', '-')}.json") for contender in CONTENDERS}
+    return {contender: load_scheduler(place / f"{contender.replace(' ', '-')}.json") for contender in CONTENDER_NAMES}
 
 
 def identity_of(task: LearningTask, contender: str) -> str:
@@ -199,7 +199,7 @@ class Makers:
     show: Progress
 
     def make(self, contender: str, schedules: Schedules) -> Schedule:
-        """The schedule of a contender; schedules: those before it in `CONTENDERS`."""
+        """The schedule of a contender; schedules: those before it in `CONTENDER_NAMES`."""
         if contender in ("nn", "anfis"):
             return self.learned(contender, as_tuning(schedules["fallback"](ANYWHERE)))
         if contender == "look-up":
@@ -231,17 +231,17 @@ class Makers:
 
     def look_up(self) -> Schedule:
         """A table over the operating point, as it is made in practice."""
-        nodes = {name: np.linspace(*self.task.box[name], count) for name, count in NODES.items()}
+        nodes = {name: np.linspace(*self.task.box[name], count) for name, count in LOOKUP_NODES.items()}
         return neighbour_lookup(self.dataset, nodes)
 
     def learned(self, model: str, safe: Tuning) -> Schedule:
         """Networks or fuzzy systems, learned on the closed loop, behind the guard with its fallback."""
-        start = Learnable(self._first_surfaces(model), INPUTS, self.task.domain, model)
+        start = Learnable(self._first_surfaces(model), LEARNED_INPUTS, self.task.domain, model)
         improvement = improve(
-            start, self.training, self.held_out, rounds=self.task.effort.rounds, seed=SEED, safe=safe,
+            start, self.training, self.held_out, rounds=self.task.effort.rounds, seed=LEARNING_SEED, safe=safe,
             progress=lambda done, total: self.show(model, done, total),
         )  # fmt: skip
-        guarded = Guarded(improvement.schedule, safe, stability=self.stability, **GUARD)
+        guarded = Guarded(improvement.schedule, safe, stability=self.stability, **GUARD_OPTIONS)
         return replace(guarded, provenance={"history": improvement.history})
 
     def _first_surfaces(self, model: str) -> Surfaces:
@@ -249,18 +249,18 @@ class Makers:
         domain = self.task.domain
         if model == "nn":
             return {
-                slot: NetworkSurface.start(domain, value, span, 10 * SEED + i)
+                slot: NetworkSurface.start(domain, value, span, 10 * LEARNING_SEED + i)
                 for i, (slot, (value, span)) in enumerate(SPANS.items())
             }
-        columns = [SchedulingVariables._fields.index(name) for name in INPUTS]
+        columns = [SchedulingVariables._fields.index(name) for name in LEARNED_INPUTS]
         variables = np.concatenate([
             runs.variables[:, ::CLUSTER_STRIDE].reshape(-1, len(SchedulingVariables._fields))
             for runs, _ in self.training
         ])  # fmt: skip
-        rng = np.random.default_rng((SEED, 0xF522))
+        rng = np.random.default_rng((LEARNING_SEED, 0xF522))
         rows = np.sort(rng.choice(len(variables), CLUSTERED_INPUTS))
-        surface = FuzzySurface.start(np.clip(variables[rows][:, columns], *domain.T), 0.0, RULES, SEED)
-        return {slot: surface.level(SPANS[slot][0]) for slot in OUTPUTS}
+        surface = FuzzySurface.start(np.clip(variables[rows][:, columns], *domain.T), 0.0, RULES, LEARNING_SEED)
+        return {slot: surface.level(SPANS[slot][0]) for slot in LEARNED_OUTPUTS}
 
 
 # -- constants --------------------------------------------------------------------------------------------------------
@@ -272,7 +272,7 @@ def as_tuning(row: ArrayLike) -> Tuning:
 
 def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Array:
     """(4,) the tuning with the lowest mean log cost over `CONSTANT_RUNS` of the runs, by a swarm of so many tunings."""
-    rng = np.random.default_rng((SEED, 0xC057))
+    rng = np.random.default_rng((LEARNING_SEED, 0xC057))
     which = np.sort(rng.choice(len(runs), min(CONSTANT_RUNS, len(runs)), replace=False))
 
     def cost(tuning: ArrayLike) -> float:
@@ -281,7 +281,7 @@ def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Arr
     def costs(positions: Array) -> Array:
         return np.array([cost([Np, Nc, 1.0, R]) for Np, Nc, R in np.atleast_2d(positions)])
 
-    swarm = minimise(costs, CONSTANT_SPACE, SwarmSettings(generations=max(1, tunings // 20)), seed=SEED)
+    swarm = minimise(costs, CONSTANT_SPACE, SwarmSettings(generations=max(1, tunings // 20)), seed=LEARNING_SEED)
     start = START.as_array()
     return start if cost(start) < float(swarm.cost) else np.array([swarm.x[0], swarm.x[1], 1.0, swarm.x[2]])
 
@@ -343,22 +343,22 @@ def stability_map(task: LearningTask) -> StabilityMap:
     box = task.box
     axes, values = loop_map(task.linear, task.mpc, prompt, speed=box["speed"], friction=box["friction"], turn=None)
     values[axes[0] < SLOW_SPEED] += SLOW_MARGIN
-    return StabilityMap(Table(axes, values), 1.0 - MARGIN)
+    return StabilityMap(Table(axes, values), 1.0 - GUARD_MARGIN)
 
 
 # -- look-up table ----------------------------------------------------------------------------------------------------
 def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike]) -> Schedule:
     """A table with the tuning of the library that has the lowest mean log cost near each node.
 
-    nodes: along some or all of speed, y_ref, friction and wind. The mean is over the `NEIGHBOURS` nearest operating
-    points; distances are in ranges of the data.
+    nodes: along some or all of speed, y_ref, friction and wind. The mean is over the `LOOKUP_NEIGHBOURS` nearest
+    operating points; distances are in ranges of the data.
     """
     axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
     points = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
     ranges = np.ptp(points, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
     _, neighbours = cKDTree(points / ranges).query(
-        grid.reshape(-1, len(axes)) / ranges, k=np.arange(1, min(NEIGHBOURS, len(points)) + 1)
+        grid.reshape(-1, len(axes)) / ranges, k=np.arange(1, min(LOOKUP_NEIGHBOURS, len(points)) + 1)
     )
     costs = dataset.landscape.astype(np.float64)
     worst = np.nanmax(np.where(np.isfinite(costs), costs, np.nan))

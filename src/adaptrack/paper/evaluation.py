@@ -7,7 +7,7 @@ the best constant.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -18,30 +18,25 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
-from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import PUBLISHED
-from adaptrack.paper.adaptation import ANYWHERE
+from adaptrack.paper.adaptation import ANYWHERE, Progress, Schedules
 from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import operating_point_runs, paper_test_runs, perception, random_drive_runs
 
 Array = NDArray[np.float64]
-Schedules = Mapping[str, Schedule]
-"""By contender, see `adaptation.CONTENDERS`; schedules of other origin by a name of their own."""
-Progress = Callable[[str, int, int], None]
-
-CONSTANT, DRIVE_CONSTANT, OPTIMUM = "best constant", "best constant on drives", "optimum"
-PERCEIVING = (CONSTANT, "nn", "anfis", OPTIMUM)
+BEST_CONSTANT, DRIVE_CONSTANT, POINT_OPTIMUM = "best constant", "best constant on drives", "optimum"
+PERCEIVING = (BEST_CONSTANT, "nn", "anfis", POINT_OPTIMUM)
 """Contenders that are repeated where friction and wind are not known exactly, with those they are compared with."""
 
-SEED = 7
+EVALUATION_SEED = 7
 """Default of the evaluations: it selects the operating points and drives."""
 FIRST_POINTS, FIRST_DRIVE, DRIVE_BLOCK = 10_000, 3_000_000, 10_000
 """Sobol seed and number of the first drive of the evaluation with seed 0, and drives for each seed."""
-DURATION = 60.0
+DRIVE_DURATION = 60.0
 """s, of a drive"""
-NOISE = tuple(range(900_001, 900_009))
+EVALUATION_NOISE = tuple(range(900_001, 900_009))
 """Noise seeds of every evaluation; drives take the first."""
 SEARCH_NOISE = ((800_001, 800_002, 800_003), (800_004, 800_005, 800_006), (800_007, 800_008, 800_009))
 """Noise seeds of each swarm that searches for the optimum: three times the effort of a campaign."""
@@ -50,8 +45,8 @@ CHOICE_NOISE = tuple(range(810_001, 810_009))
 
 
 def evaluate_on_operating_points(
-    task: LearningTask, schedules: Schedules, count: int, seed: int = SEED, *, known_as: Sequence[str] = ("exact",),
-    progress: Progress | None = None,
+    task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
+    known_as: Sequence[str] = ("exact",), progress: Progress | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` Sobol points of the campaign's box, for each way of knowing friction and wind (see `perception`).
 
@@ -63,29 +58,24 @@ def evaluate_on_operating_points(
         When the points of this seed were learned from, or a way of knowing is unknown.
     """
     points = evaluation_points(task, count, seed)
-    contenders = [Contender(name, schedules[name]) for name in schedules if name not in (DRIVE_CONSTANT, "fallback")]
-    if "look-up" in schedules:  # it is made from operating points, so its inputs are the point, not the signals
-        contenders = [
-            Contender(each.name, schedules["look-up"].batch(points)) if each.name == "look-up" else each
-            for each in contenders
-        ]
-    reference, plant = CONSTANT, task.driven
+    contenders = _point_contenders(schedules, points)
+    reference, plant = BEST_CONSTANT, task.driven
     if not isinstance(plant, SteppedPlant) and not plant.costly:
-        constants = np.array([schedules[name](ANYWHERE) for name in (CONSTANT, "fallback")])
+        constants = np.array([schedules[name](ANYWHERE) for name in (BEST_CONSTANT, "fallback")])
         tunings = find_optimum(task, plant, points, seed, constants, progress)
-        contenders.append(Contender(OPTIMUM, tunings, hindsight=True))
-        reference = OPTIMUM
+        contenders.append(Contender(POINT_OPTIMUM, tunings, hindsight=True))
+        reference = POINT_OPTIMUM
     comparisons = {}
     for name in known_as:
         knowledge = perception(name, task.estimated, task.profile)
         runs = operating_point_runs(plant, task.mpc, points, task.profile, known_as=knowledge, failure=FAILURE)
-        comparisons[name] = compare(runs, _driven(contenders, name), NOISE, reference, points, progress)
+        comparisons[name] = compare(runs, _driven(contenders, name), EVALUATION_NOISE, reference, points, progress)
     return comparisons
 
 
 def evaluate_on_drives(
-    task: LearningTask, schedules: Schedules, count: int, seed: int = SEED, *, known_as: Sequence[str] = ("exact",),
-    progress: Progress | None = None,
+    task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
+    known_as: Sequence[str] = ("exact",), progress: Progress | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
     numbers = evaluation_drives(count, seed)
@@ -94,11 +84,13 @@ def evaluate_on_drives(
     comparisons = {}
     for name in known_as:
         runs = random_drive_runs(
-            task.driven, task.mpc, numbers, DURATION, task.profile, roads=roads, segment_seconds=SEGMENT,
+            task.driven, task.mpc, numbers, DRIVE_DURATION, task.profile, roads=roads, segment_seconds=SEGMENT,
             known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
         )  # fmt: skip
         where = np.array(numbers, dtype=float)[:, None]
-        comparisons[name] = compare(runs, _driven(contenders, name), NOISE[:1], CONSTANT, where, progress)
+        comparisons[name] = compare(
+            runs, _driven(contenders, name), EVALUATION_NOISE[:1], BEST_CONSTANT, where, progress
+        )
     return comparisons
 
 
@@ -107,7 +99,9 @@ def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Com
     comparisons = {}
     for name in PUBLISHED:
         runs = paper_test_runs(task.driven, task.mpc, name, task.profile, failure=FAILURE)
-        comparisons[name] = compare(runs, _moving_contenders(schedules), NOISE, CONSTANT, np.zeros((1, 1)))
+        comparisons[name] = compare(
+            runs, _moving_contenders(schedules), EVALUATION_NOISE, BEST_CONSTANT, np.zeros((1, 1))
+        )
     return comparisons
 
 
@@ -131,17 +125,25 @@ def evaluation_drives(count: int, seed: int) -> range:
     return range(first, first + count)
 
 
+def _point_contenders(schedules: Schedules, points: Array) -> list[Contender]:
+    """The contenders on operating points; the look-up table is made from such, and takes the point as its input."""
+    names = [name for name in schedules if name not in (DRIVE_CONSTANT, "fallback")]
+    return [
+        Contender(name, schedules[name].batch(points) if name == "look-up" else schedules[name]) for name in names
+    ]  # fmt: skip
+
+
 def _moving_contenders(schedules: Schedules) -> list[Contender]:
     """The contenders on drives and tests: the best constant is the one that was tuned on drives."""
-    names = [name for name in schedules if name not in (CONSTANT, DRIVE_CONSTANT, "fallback")]
+    names = [name for name in schedules if name not in (BEST_CONSTANT, DRIVE_CONSTANT, "fallback")]
     return [
-        Contender(CONSTANT, schedules[DRIVE_CONSTANT]), *(Contender(name, schedules[name]) for name in names)
+        Contender(BEST_CONSTANT, schedules[DRIVE_CONSTANT]), *(Contender(name, schedules[name]) for name in names)
     ]  # fmt: skip
 
 
 def _driven(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
     """All contenders where friction and wind are known exactly, otherwise `PERCEIVING`."""
-    return [each for each in contenders if known_as == "exact" or each.name in PERCEIVING]
+    return [contender for contender in contenders if known_as == "exact" or contender.name in PERCEIVING]
 
 
 def find_optimum(
@@ -168,7 +170,7 @@ def find_optimum(
         for i, row in enumerate(pool.map(best_tuning, range(len(points)))):
             rows.append(row)
             if progress is not None and i % 16 == 0:
-                progress(OPTIMUM, i, len(points))
+                progress(POINT_OPTIMUM, i, len(points))
     return np.array(rows)
 
 

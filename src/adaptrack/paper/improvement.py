@@ -18,17 +18,17 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables
-from adaptrack.paper.landscape import OUTPUTS, Rescue, WeightedMoves, explore_landscape
+from adaptrack.paper.landscape import LEARNED_OUTPUTS, Rescue, WeightedMoves, explore_landscape
 from adaptrack.paper.surfaces import Surface
 from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]
 Surfaces = Mapping[str, Surface]
-"""One for each of `OUTPUTS`."""
+"""One for each of `LEARNED_OUTPUTS`."""
 Training = Sequence[tuple[RunSet, int]]
 """Run sets to learn from, each with the number of its runs that a round drives."""
 
-ROUNDS = 32
+LEARNING_ROUNDS = 32
 """After 25 rounds the cost of the held-out runs of the shipped schedules fell by less than 1 % more."""
 CHECK_INTERVAL = 5
 """Rounds between two scores on the held-out runs."""
@@ -40,9 +40,9 @@ DAMPING, FINAL_DAMPING = 0.7, 0.3
 """Share of a move that the first round takes, and the share of that damping that is left in the end (linear)."""
 FINAL_EFFORT = 0.2
 """Share of the work of a fit that is left in the end (square root): late rounds only average noise."""
-BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
+TUNING_BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
 """Range of learned tunings: periods, periods, 1/rad^2 with Q = 1 per m^2. An MPC forms 60 and 20 periods by default."""
-LIMITS = np.array([BOUNDS["Np"], BOUNDS["Nc"], np.log10(BOUNDS["R"])])
+OUTPUT_BOUNDS = np.array([TUNING_BOUNDS["Np"], TUNING_BOUNDS["Nc"], np.log10(TUNING_BOUNDS["R"])])
 """(3, 2) of the outputs."""
 NOISE_BLOCK, HELD_OUT_NOISE, TRAINING_NOISE = 100_000, 900, 1_000
 """Noise seeds: a block for each seed, in it those of the held-out runs and of round 0, from which they count up."""
@@ -73,7 +73,7 @@ class Improvement:
 
 @tells("improve")
 def improve(
-    start: Learnable, training: Training, held_out: Sequence[RunSet], *, rounds: int = ROUNDS, seed: int = 0,
+    start: Learnable, training: Training, held_out: Sequence[RunSet], *, rounds: int = LEARNING_ROUNDS, seed: int = 0,
     safe: Tuning | None = None, progress: Callable[[int, int], None] | None = None,
 ) -> Improvement:  # fmt: skip
     """Move the three outputs of a schedule `rounds` times towards lower costs of its own closed loop.
@@ -144,7 +144,7 @@ class _Course:
     def averaged(self) -> Surfaces:
         """The surfaces with the mean of the parameters of the latest rounds."""
         others = self.latest[:-1]
-        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in others]) for slot in OUTPUTS}
+        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in others]) for slot in LEARNED_OUTPUTS}
 
     def note_score(self, schedule: Schedule, surfaces: Surfaces, entry: dict[str, float]) -> None:
         """Note a score, and its schedule if it is the best."""
@@ -167,8 +167,8 @@ class _Learner:
 
     @classmethod
     def of(cls, start: Learnable, training: Training, safe: Tuning | None) -> _Learner:
-        if set(start.surfaces) != set(OUTPUTS):
-            raise InvalidInput(f"improve: need a surface for each of {', '.join(OUTPUTS)}.")
+        if set(start.surfaces) != set(LEARNED_OUTPUTS):
+            raise InvalidInput(f"improve: need a surface for each of {', '.join(LEARNED_OUTPUTS)}.")
         for name in start.inputs:
             if name not in SchedulingVariables._fields:
                 raise InvalidInput(
@@ -184,16 +184,18 @@ class _Learner:
 
     def schedule(self, surfaces: Surfaces) -> Schedule:
         """The schedule of the surfaces."""
-        return self._learned([surfaces[slot].function() for slot in OUTPUTS])
+        return self._learned([surfaces[slot].function() for slot in LEARNED_OUTPUTS])
 
     def _learned(self, functions: Sequence[Function]) -> Schedule:
-        return Learned(dict(zip(OUTPUTS, functions, strict=True)), self.inputs, self.domain, BOUNDS, name=self.name)
+        return Learned(
+            dict(zip(LEARNED_OUTPUTS, functions, strict=True)), self.inputs, self.domain, TUNING_BOUNDS, name=self.name
+        )
 
     def _inputs(self, variables: Array) -> Array:
         return np.clip(variables[:, self.columns], *self.domain.T)
 
     def _outputs(self, surfaces: Surfaces, variables: Array) -> Array:
-        return np.stack([surfaces[slot].predict(self._inputs(variables)) for slot in OUTPUTS], axis=1)
+        return np.stack([surfaces[slot].predict(self._inputs(variables)) for slot in LEARNED_OUTPUTS], axis=1)
 
     def score(
         self, surfaces: Surfaces, held_out: Sequence[RunSet], seed: int, k: int
@@ -207,7 +209,7 @@ class _Learner:
 
     def moves(self, surfaces: Surfaces, training: Training, drawn: Sequence[Indices], noise: int) -> WeightedMoves:
         """The moves that lower the costs of the drawn runs."""
-        functions = [surfaces[slot].function() for slot in OUTPUTS]
+        functions = [surfaces[slot].function() for slot in LEARNED_OUTPUTS]
 
         def shifted(shift: Array) -> Schedule:
             return self._learned([f.shifted(float(by)) for f, by in zip(functions, shift, strict=True)])
@@ -233,11 +235,11 @@ class _Learner:
         """The surfaces after a damped step of the weighted regression; left: share of the rounds still to come."""
         damping = DAMPING * (FINAL_DAMPING + (1.0 - FINAL_DAMPING) * left)
         effort = FINAL_EFFORT + (1.0 - FINAL_EFFORT) * math.sqrt(left)
-        targets = np.clip(self._outputs(surfaces, moves.variables) + damping * moves.moves, *LIMITS.T)
+        targets = np.clip(self._outputs(surfaces, moves.variables) + damping * moves.moves, *OUTPUT_BOUNDS.T)
         x = self._inputs(moves.variables)
         with ThreadPoolExecutor() as pool:
             fits = [
                 pool.submit(surfaces[slot].fit, x, target, weight, effort)
-                for slot, target, weight in zip(OUTPUTS, targets.T, moves.weights.T, strict=True)
+                for slot, target, weight in zip(LEARNED_OUTPUTS, targets.T, moves.weights.T, strict=True)
             ]
-            return {slot: fit.result() for slot, fit in zip(OUTPUTS, fits, strict=True)}
+            return {slot: fit.result() for slot, fit in zip(LEARNED_OUTPUTS, fits, strict=True)}

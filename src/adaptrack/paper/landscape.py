@@ -22,9 +22,9 @@ from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]
 
-OUTPUTS = ("Np", "Nc", "log10_ratio")
+LEARNED_OUTPUTS = ("Np", "Nc", "log10_ratio")
 """Entries that a learned schedule has functions for. Only R/Q changes the control law; Q is 1."""
-SHIFT = np.array([3.0, 1.5, 0.15])
+OUTPUT_SHIFT = np.array([3.0, 1.5, 0.15])
 """Shift of each output. Horizons are whole, so smaller ones are lost in rounding; larger ones leave the parabola."""
 MIN_CURVATURE = np.array([0.002, 0.005, 0.3])
 """Curvature of the relative cost per squared unit that flatter segments count as: flat segments keep their tuning."""
@@ -63,15 +63,15 @@ def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[
     """Moves of the outputs to the minimum of a parabola through three costs, and their weights, each (n, 3).
 
     base (n,), up and down (n, 3): costs of n segments with the outputs unchanged, and with one output shifted by
-    `SHIFT`, all relative to the cost of the run; share (n,): the segment's part of that cost. A cost that is not finite
-    gives weight zero. A move is at most two shifts long.
+    `OUTPUT_SHIFT`, all relative to the cost of the run; share (n,): the segment's part of that cost. A cost that is
+    not finite gives weight zero. A move is at most two shifts long.
     """
     finite = np.isfinite(up) & np.isfinite(down) & np.isfinite(base)[:, None]
     base, up, down = (np.where(finite, costs, 0.0) for costs in (base[:, None], up, down))
-    slope = (up - down) / (2.0 * SHIFT)
-    curvature = (up + down - 2.0 * base) / SHIFT**2
+    slope = (up - down) / (2.0 * OUTPUT_SHIFT)
+    curvature = (up + down - 2.0 * base) / OUTPUT_SHIFT**2
     weight = np.maximum(curvature, MIN_CURVATURE * share[:, None])
-    weight = np.maximum(weight, np.abs(slope) / (2.0 * SHIFT))
+    weight = np.maximum(weight, np.abs(slope) / (2.0 * OUTPUT_SHIFT))
     moves = np.divide(-slope, weight, out=np.zeros_like(slope), where=weight > 0.0)
     return moves, np.where(finite, weight, 0.0)
 
@@ -98,7 +98,8 @@ def explore_landscape(
     scale = _run_costs(base, runs)
     relative = _relative(base, scale)
     up, down = (
-        np.stack([_relative(costs(sign * shift), scale) for shift in np.diag(SHIFT)], axis=-1) for sign in (1.0, -1.0)
+        np.stack([_relative(costs(sign * shift), scale) for shift in np.diag(OUTPUT_SHIFT)], axis=-1)
+        for sign in (1.0, -1.0)
     )
     share = np.clip(np.nan_to_num(relative), 0.0, 1.0) + MIN_SHARE
     moves, weights = preferred_moves(relative.ravel(), up.reshape(-1, 3), down.reshape(-1, 3), share.ravel())
@@ -135,7 +136,7 @@ def _sample_segment(
     if rescue is not None and (rescued := part > 0.0).any():
         way = part[rescued, None] * rescue.way(variables[rescued])
         moves[rescued] = way
-        weights[rescued] = 2.0 * MAX_SEGMENT_COST / np.maximum(np.abs(way), SHIFT) ** 2 / count
+        weights[rescued] = 2.0 * MAX_SEGMENT_COST / np.maximum(np.abs(way), OUTPUT_SHIFT) ** 2 / count
     return WeightedMoves(variables, moves, weights)
 
 

@@ -18,28 +18,28 @@ from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.drive.failure import Failure
 from adaptrack.paper.campaign_config import CampaignConfig, Plan, Sobol
 from adaptrack.paper.evaluator import tuned_mpc
-from adaptrack.paper.improvement import ROUNDS, Training
+from adaptrack.paper.improvement import LEARNING_ROUNDS, Training
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.runs import RunSet, operating_point_runs, random_drive_runs
 
 Array = NDArray[np.float64]
 
-SEED = 1
+LEARNING_SEED = 1
 """Of all random numbers of the learning; the shipped schedules have it."""
-INPUTS = ("speed", "change", "acceleration", "friction")
+LEARNED_INPUTS = ("speed", "change", "acceleration", "friction")
 """Scheduling variables of the learned schedules. The wind gains nothing on drives, and cars do not measure it."""
 CHANGE, ACCELERATION = (0.0, 12.0), (0.0, 3.5)
 """Domain of the reference preview: m, m/s^2. That of speed and friction is the campaign's box."""
 START = Tuning(29, 5, 1.0, 4000.0)
 """Tuning before the first round: it fails in few runs, and a failed run shows no slope."""
 
-TRAINING_POINTS, HELD_OUT_POINTS = 100 + SEED, 200 + SEED
+TRAINING_POINTS, HELD_OUT_POINTS = 100 + LEARNING_SEED, 200 + LEARNING_SEED
 """Seeds of the Sobol points to learn from and held out; those of evaluations begin at 10,000."""
 TRAINING_DRIVES, HARD_DRIVES, HELD_OUT_DRIVES = 1_000_000, 1_500_000, 2_000_000
 """Number of the first drive of each part; those of evaluations begin at 3,000,000."""
 TRAINING_DURATION, HELD_OUT_DURATION = 30.0, 60.0
 """s, of a drive. Long drives are held out because evaluations drive 60 s."""
-HARD_SPEED, HARD_DEMAND = (17.0, 29.0), (0.2, 0.35)
+HARD_DRIVE_SPEED, HARD_DRIVE_DEMAND = (17.0, 29.0), (0.2, 0.35)
 """m/s and share of the grip of the hard drives, on which a car is lost if the tuning is wrong."""
 SEGMENT = 2.0
 """s, length of the segments of a drive, and how long before a segment the cause of its cost may lie."""
@@ -52,7 +52,7 @@ FAILURE = Failure(5.0, 0.7853981633974483)
 class Effort(NamedTuple):
     """Numbers of runs and rounds; the shipped schedules have the defaults."""
 
-    rounds: int = ROUNDS
+    rounds: int = LEARNING_ROUNDS
     operating_points: int = 2048
     """lane changes in a gust to learn from"""
     drives: int = 1024
@@ -125,16 +125,16 @@ class LearningTask:
 
     @property
     def domain(self) -> Array:
-        """(inputs, 2) lowest and highest value of each of `INPUTS`."""
+        """(inputs, 2) lowest and highest value of each of `LEARNED_INPUTS`."""
         ranges = {**self.box, "change": CHANGE, "acceleration": ACCELERATION}
-        return np.array([ranges[name] for name in INPUTS])
+        return np.array([ranges[name] for name in LEARNED_INPUTS])
 
     # -- runs ---------------------------------------------------------------------------------------------------------
     def training(self) -> Training:
         """Lane changes, drives and hard drives to learn from, each with the number that a round drives."""
         effort = self.effort
         points = sobol(effort.operating_points, self.box, seed=TRAINING_POINTS)
-        hard = {"speed": HARD_SPEED, "demand": HARD_DEMAND}
+        hard = {"speed": HARD_DRIVE_SPEED, "demand": HARD_DRIVE_DEMAND}
         sets = (
             self.lane_changes(points),
             self._drives(TRAINING_DRIVES, effort.drives, TRAINING_DURATION),

@@ -14,7 +14,7 @@ from adaptrack.base.result import Axis, Column, HeatMap, Panel, Picture, Result,
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
-from adaptrack.paper.evaluation import CONSTANT, OPTIMUM
+from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.comparison_pictures import ratios_picture
 from adaptrack.results.words import INPUTS, counted, data_text, number, plain, span, title_of
 
@@ -23,12 +23,12 @@ Views = Mapping[str, Mapping[str, Comparison]]
 """Comparisons on "operating points" and "drives" by the knowledge of friction and wind ("exact", "noisy", ...), and on
 "tests" by the test."""
 
-NAMES = {
-    "nn": "NN-MPC", "anfis": "ANFIS-MPC", CONSTANT: "Best constant", "look-up": "Look-up table",
-    OPTIMUM: "Optimum per operating point",
+CONTENDER_LABELS = {
+    "nn": "NN-MPC", "anfis": "ANFIS-MPC", BEST_CONSTANT: "Best constant", "look-up": "Look-up table",
+    POINT_OPTIMUM: "Optimum per operating point",
 }  # fmt: skip
 NOUNS = {"operating points": "operating point", "drives": "drive", "tests": "run"}
-COLUMNS = (
+EVALUATION_COLUMNS = (
     Column("label", "Contender"),
     Column("cost_geomean", "Cost", "m²", 3),
     Column("regret_geomean", "Regret", "", 4),
@@ -38,15 +38,15 @@ COLUMNS = (
     Column("failures", "Runs\nfailed"),
     Column("fallback", "Fallback", "% of steps", "percent"),
 )
-MAPPED = (CONSTANT, "look-up", "nn", "anfis")
+MAPPED = (BEST_CONSTANT, "look-up", "nn", "anfis")
 """Contenders with a map of their regret."""
 CEILING = 10.0
 """Higher regrets share a colour."""
 CELL_POINTS, MIN_CELLS, MAX_CELLS = 6, 4, 12
 """Operating points that a cell of a map holds on average, and the number of cells along an axis."""
-NODES = (64, 44)
+SURFACE_NODES = (64, 44)
 """Of a learned surface, along its axes."""
-OUTPUTS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
+OUTPUT_LABELS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 
 
 def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, command: str = "") -> Result:
@@ -77,8 +77,8 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
 def headline(comparison: Comparison, noun: str) -> str:
     """The cost of the best schedule over that of the best constant."""
     runs = counted(_runs(comparison), noun)
-    best = min(comparison.adaptive, key=lambda name: comparison.mean_ratio(name, CONSTANT), default=CONSTANT)
-    ratio = comparison.ratio(best, CONSTANT)
+    best = min(comparison.adaptive, key=lambda name: comparison.mean_ratio(name, BEST_CONSTANT), default=BEST_CONSTANT)
+    ratio = comparison.ratio(best, BEST_CONSTANT)
     return (
         f"{label_of(best)}: {number(ratio.mean)} times the cost of the best constant on {runs} "
         f"(95 % interval {number(ratio.low)} to {number(ratio.high)})."
@@ -87,7 +87,7 @@ def headline(comparison: Comparison, noun: str) -> str:
 
 def label_of(contender: str) -> str:
     """The label of a contender in tables and pictures."""
-    return NAMES.get(contender, contender)
+    return CONTENDER_LABELS.get(contender, contender)
 
 
 def _runs(comparison: Comparison) -> int:
@@ -106,7 +106,7 @@ def view_rows(views: Views) -> list[dict[str, Any]]:
 
 
 def _over_constant(comparison: Comparison, contender: str) -> dict[str, float]:
-    ratio = comparison.ratio(contender, CONSTANT)
+    ratio = comparison.ratio(contender, BEST_CONSTANT)
     return {"constant_geomean": ratio.mean, "constant_low": ratio.low, "constant_high": ratio.high}
 
 
@@ -118,7 +118,7 @@ def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
         group = [_row(comparison, row, name) for row in comparison.rows()]
         best |= {(len(rows) + i, column) for i, column in lowest(group, ("cost_geomean", "regret_geomean"))}
         rows += group
-    columns = [column for column in COLUMNS if any(row[column.name] is not None for row in rows)]
+    columns = [column for column in EVALUATION_COLUMNS if any(row[column.name] is not None for row in rows)]
     several = "group" if len(comparisons) > 1 else ""
     first = next(iter(comparisons.values()))
     runs = "the paper's two" if view == "tests" else counted(_runs(first), NOUNS[view])
@@ -177,7 +177,7 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     """The tuning of schedules without guard over speed and their second input."""
     surfaces = {name: _surface(schedule) for name, schedule in schedules.items()}
     panels = []
-    for k, (symbol, unit) in enumerate(OUTPUTS):
+    for k, (symbol, unit) in enumerate(OUTPUT_LABELS):
         scale = shared_scale([surface[..., k] for surface in surfaces.values()], whole=k < 2)
         for name, schedule in schedules.items():
             label, input_unit = INPUTS[schedule.inputs[1]]
@@ -191,7 +191,7 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
         "The learned tuning over speed and the reference ahead, with the other inputs in the middle of their domain "
         "and without the guard. Panels of the same output share their colours."
     )
-    columns = len(schedules) if len(schedules) > 1 else len(OUTPUTS)
+    columns = len(schedules) if len(schedules) > 1 else len(OUTPUT_LABELS)
     return Picture("surfaces", caption, panels, file="surfaces.png", columns=columns, row_height=2.1)
 
 
@@ -204,7 +204,7 @@ def shared_scale(values: Sequence[Array], whole: bool) -> Scale:
 
 def _surface(schedule: Schedule) -> Array:
     """(nodes of the second input, nodes of speed, 3) outputs, the other inputs in the middle of their domain."""
-    columns, rows = NODES
+    columns, rows = SURFACE_NODES
     places = [SchedulingVariables._fields.index(name) for name in schedule.inputs]
     variables = np.zeros((rows, columns, len(SchedulingVariables._fields)))
     variables[..., places] = schedule.domain.mean(axis=1)
