@@ -11,6 +11,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import Moves, Tuning, published_mpc
 from adaptrack.paper.campaign_config import CampaignConfig, Plan
 from adaptrack.scenario import Scenario, load_scenario
+from small_data import small_campaign
 
 LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]
 
