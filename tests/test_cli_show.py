@@ -34,7 +34,7 @@ def typical(columns):
 
 
 @pytest.mark.parametrize(
-    "columns", [drive_tables.CONSOLE, train.COLUMNS, comparison.CONSOLE, certificate.CONSOLE, reproduce.CONSOLE]
+    "columns", [drive_tables.CONSOLE, train.QUALITY_COLUMNS, comparison.CONSOLE, certificate.CONSOLE, reproduce.CONSOLE]
 )
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")

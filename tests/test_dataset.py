@@ -262,6 +262,11 @@ def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
 def test_a_page_is_written_also_where_every_run_failed(tmp_path, lost):
     failures = {"costs": np.full(60, np.inf), "landscape": np.full((60, 7), np.inf)}
     data = wild(provenance={"name": "made <b>"}, **(failures if lost else {}))
-    text = write_result(tmp_path, dataset_result(data)).read_text()
+    result = dataset_result(data)
+    for table in result.tables:
+        names = [column.name for column in table.columns]
+        assert len(set(names)) == len(names)
+        assert all(set(names) <= row.keys() for row in table.rows)
+    text = write_result(tmp_path, result).read_text()
     assert "made &lt;b&gt;" in text
     assert ("<svg role" in text) is not lost

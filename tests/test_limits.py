@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from campaign_fakes import small
 
 from adaptrack.base import limits
 from adaptrack.base.errors import InvalidInput
@@ -12,6 +11,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import Moves, Tuning, published_mpc
 from adaptrack.paper.campaign_config import CampaignConfig, Plan
 from adaptrack.scenario import Scenario, load_scenario
+from small_data import small_campaign
 
 LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]
 
@@ -41,7 +41,7 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
         ("terms", lambda: Moves("laguerre", terms=10**9)),
         ("longest_horizon", lambda: published_mpc(load_vehicle("paper"), longest_horizon=10**9)),
         ("most_moves", lambda: published_mpc(load_vehicle("paper"), most_moves=10**9)),
-        ("noise_seeds", lambda: small(profile="road", noise_seeds=tuple(range(100_000)))),
+        ("noise_seeds", lambda: small_campaign(profile="road", noise_seeds=tuple(range(100_000)))),
         ("landscape", lambda: Plan.of(sobol(10**6, 10_000))),
     ],
 )
@@ -52,4 +52,4 @@ def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(what, m
 
 def sobol(points: int, tunings: int) -> CampaignConfig:
     box = {"speed": (5.0, 20.0), "y_ref": (-4.0, 4.0), "friction": (0.5, 0.9), "wind": (-5.0, 5.0)}
-    return small(operating_points={"kind": "sobol", "n": points, "box": box}, library={"size": tunings})
+    return small_campaign(operating_points={"kind": "sobol", "n": points, "box": box}, library={"size": tunings})

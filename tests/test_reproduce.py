@@ -290,7 +290,11 @@ def test_the_headline_counts_the_errors_near_the_papers(made, result):
     ratios = [row["ratio"] for row in made.rows if row["configuration"] == "released" and row["ratio"] is not None]
     near = sum(abs(ratio - 1.0) <= 0.25 for ratio in ratios)
     assert result.answer == f"{near} of the paper's 6 mean square errors come out within 25 %."
-    assert [row["paper triple-lane-change"] for row in result.table("published").rows] == [0.0318, 0.0051, 0.0062]
+    for row in result.table("shares").rows:
+        assert row["pole_percent"] + row["adaptation_percent"] == pytest.approx(100.0, abs=1.0)
+    assert [row["paper_mse"] for row in result.table("published").rows] == [
+        0.0318, 0.0051, 0.0062, 0.5896, 0.132, 0.1349,
+    ]  # fmt: skip
 
 
 def test_the_page_begins_with_the_papers_errors_and_figures_then_shows_the_parts_of_the_gain(result, tmp_path):

@@ -28,9 +28,9 @@ ROUND_COLUMNS = (
 class AdaptOptions:
     """Options of `adaptrack paper adapt`."""
 
-    campaign: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file of a Sobol sample.")] = (
-        "road-sobol"
-    )
+    campaign: Annotated[
+        str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file; its operating points are a Sobol sample.")
+    ] = "road-sobol"
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of campaign and schedules; it can be resumed.")]
     profile: options.OtherProfile = None
     workers: options.Workers = None
@@ -38,7 +38,7 @@ class AdaptOptions:
 
 
 @options.grouped
-def adapt(given: AdaptOptions) -> None:
+def adapt(arguments: AdaptOptions) -> None:
     """Run a campaign and learn its schedules: constants, look-up table, NN and ANFIS.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
@@ -46,18 +46,18 @@ def adapt(given: AdaptOptions) -> None:
     from adaptrack.paper.adaptation import adapt as learn
     from adaptrack.paper.campaign_config import load_campaign
 
-    campaign = load_campaign(given.campaign).in_profile(given.profile)
-    options.make_folder(given.out)
-    interrupt.kept(f"Finished parts and schedules are kept in {given.out}: run the command again to go on.")
+    campaign = load_campaign(arguments.campaign).in_profile(arguments.profile)
+    options.make_folder(arguments.out)
+    interrupt.kept(f"Finished parts and schedules are kept in {arguments.out}: run the command again to go on.")
     with show.progress("adapt") as advance:
-        schedules = learn(campaign, given.out, workers=given.workers, progress=advance)
+        schedules = learn(campaign, arguments.out, workers=arguments.workers, progress=advance)
     rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]
-    if given.as_json:
-        show.say_json({"schedulers": str(given.out / "schedulers"), "rows": rows})
+    if arguments.as_json:
+        show.say_json({"schedulers": str(arguments.out / "schedulers"), "rows": rows})
         return
     show.table("Schedules that learned on the closed loop", ROUND_COLUMNS, rows)
-    show.say(f"Schedules: {given.out / 'schedulers'}")
-    line = command("paper", "evaluate", given.out, "--campaign", given.campaign, "--profile", given.profile)
+    show.say(f"Schedules: {arguments.out / 'schedulers'}")
+    line = command("paper", "evaluate", arguments.out, "--campaign", arguments.campaign, "--profile", arguments.profile)
     say_next("to evaluate them on new runs", line)
 
 

@@ -66,7 +66,7 @@ class EvaluateOptions:
 
 
 @options.grouped
-def evaluate(given: EvaluateOptions) -> None:
+def evaluate(arguments: EvaluateOptions) -> None:
     """Compare schedules with the best constant, and with the optimum of each operating point.
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
@@ -78,38 +78,38 @@ def evaluate(given: EvaluateOptions) -> None:
     from adaptrack.results.page import write_result
     from adaptrack.tuning.runs import perception
 
-    task = LearningTask.of(load_campaign(given.campaign).in_profile(given.profile))
-    schedules = shipped_schedules() if given.folder is None else read_schedules(given.folder)
-    schedules = check_schedules(task, schedules, given.scheduler or [])
-    for way in given.known_as or []:
+    task = LearningTask.of(load_campaign(arguments.campaign).in_profile(arguments.profile))
+    schedules = shipped_schedules() if arguments.folder is None else read_schedules(arguments.folder)
+    schedules = check_schedules(task, schedules, arguments.scheduler or [])
+    for way in arguments.known_as or []:
         perception(way, task.estimated, task.profile)  # an unknown one is refused before any work
-    if given.out is not None:
-        options.make_folder(given.out)
+    if arguments.out is not None:
+        options.make_folder(arguments.out)
     with show.progress("evaluate") as advance:
-        views = _views(given, task, schedules, advance)
+        views = _views(arguments, task, schedules, advance)
     result = evaluation_result(views, schedules, command=options.command_line())
     if not views["drives"]:
         step = next_line("to evaluate them on long drives", again("--drives", 200))
         result = replace(result, next_step=step)
     page = None
-    if given.out is not None:
+    if arguments.out is not None:
         with show.progress("write the page"):
-            page = write_result(given.out, result)
-    show.say_result(result, given.as_json, page)
+            page = write_result(arguments.out, result)
+    show.say_result(result, arguments.as_json, page)
 
 
-def _views(given: EvaluateOptions, task: LearningTask, schedules: dict[str, Schedule], progress: Any) -> Views:
+def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, Schedule], progress: Any) -> Views:
     from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
 
-    points, drives = given.operating_points, given.drives
-    if points is None and drives is None and not given.tests:
+    points, drives, seed = arguments.operating_points, arguments.drives, arguments.seed
+    if points is None and drives is None and not arguments.tests:
         points = DEFAULT_POINTS
-    ways = tuple(dict.fromkeys(["exact", *(given.known_as or [])]))
+    ways = tuple(dict.fromkeys(["exact", *(arguments.known_as or [])]))
     more: dict[str, Any] = {"known_as": ways, "progress": progress}
     return {
-        "operating points": evaluate_on_operating_points(task, schedules, points, given.seed, **more) if points else {},
-        "drives": evaluate_on_drives(task, schedules, drives, given.seed, **more) if drives else {},
-        "tests": evaluate_on_tests(task, schedules) if given.tests else {},
+        "operating points": evaluate_on_operating_points(task, schedules, points, seed, **more) if points else {},
+        "drives": evaluate_on_drives(task, schedules, drives, seed, **more) if drives else {},
+        "tests": evaluate_on_tests(task, schedules) if arguments.tests else {},
     }
 
 

@@ -35,11 +35,6 @@ class Role:
     tuning: str = ""
     """default, tuned, scheduled, or the file of a tuning"""
 
-    @property
-    def deployable(self) -> bool:
-        """Whether one would drive with it: it needs no hindsight."""
-        return not self.hindsight
-
 
 def check_names(contenders: Sequence[str], reference: str) -> None:
     """Refuse contenders of one name, and a reference that is none of them.
@@ -215,16 +210,6 @@ class Comparison:
     def adaptive(self) -> list[str]:
         """The contenders whose tuning changes, and not by hindsight."""
         return [name for name in self.contenders if self.role(name).adapts and not self.role(name).hindsight]
-
-    @property
-    def best(self) -> list[str]:
-        """The cheapest contender that could be deployed, then those level with it.
-
-        A contender with hindsight only if there is no other.
-        """
-        judged = [each for each in self.contenders if self.role(each).deployable] or [self.reference]
-        ranked = sorted(judged, key=lambda name: self.mean_ratio(name, self.reference))
-        return ranked[:1] + [name for name in ranked[1:] if self.ratio(name, ranked[0]).verdict == "level"]
 
     # -- rows ---------------------------------------------------------------------------------------------------------
     def rows(self) -> list[dict[str, Any]]:

@@ -58,12 +58,7 @@ def evaluate_on_operating_points(
         When the points of this seed were learned from, or a way of knowing is unknown.
     """
     points = evaluation_points(task, count, seed)
-    contenders = [Contender(name, schedules[name]) for name in schedules if name not in (DRIVE_CONSTANT, "fallback")]
-    if "look-up" in schedules:  # it is made from operating points, so its inputs are the point, not the signals
-        contenders = [
-            Contender(each.name, schedules["look-up"].batch(points)) if each.name == "look-up" else each
-            for each in contenders
-        ]
+    contenders = _point_contenders(schedules, points)
     reference, plant = BEST_CONSTANT, task.driven
     if not isinstance(plant, SteppedPlant) and not plant.costly:
         constants = np.array([schedules[name](ANYWHERE) for name in (BEST_CONSTANT, "fallback")])
@@ -130,6 +125,14 @@ def evaluation_drives(count: int, seed: int) -> range:
     return range(first, first + count)
 
 
+def _point_contenders(schedules: Schedules, points: Array) -> list[Contender]:
+    """The contenders on operating points; the look-up table is made from such, and takes the point as its input."""
+    names = [name for name in schedules if name not in (DRIVE_CONSTANT, "fallback")]
+    return [
+        Contender(name, schedules[name].batch(points) if name == "look-up" else schedules[name]) for name in names
+    ]  # fmt: skip
+
+
 def _moving_contenders(schedules: Schedules) -> list[Contender]:
     """The contenders on drives and tests: the best constant is the one that was tuned on drives."""
     names = [name for name in schedules if name not in (BEST_CONSTANT, DRIVE_CONSTANT, "fallback")]
@@ -140,7 +143,7 @@ def _moving_contenders(schedules: Schedules) -> list[Contender]:
 
 def _driven(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
     """All contenders where friction and wind are known exactly, otherwise `PERCEIVING`."""
-    return [each for each in contenders if known_as == "exact" or each.name in PERCEIVING]
+    return [contender for contender in contenders if known_as == "exact" or contender.name in PERCEIVING]
 
 
 def find_optimum(

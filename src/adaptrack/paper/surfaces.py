@@ -1,6 +1,6 @@
 """Surfaces: one output as a function of the inputs, which can take a step of a weighted regression.
 
-A level (a number), a small network, a fuzzy system. What runs is their `function`.
+A level (a number), a small network, a fuzzy system. A schedule runs their `function`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,16 @@ from adaptrack.control.scheduling.functions.sugeno import SLOPE, WIDTH
 
 Array = NDArray[np.float64]
 
+HIDDEN_NEURONS = (16, 8)
+"""As in the paper's networks."""
+ADAM_EPOCHS, ADAM_RATE = 100, 0.01
+"""Epochs of Adam in one step, and the learning rate of the first one."""
+KMEANS_RESTARTS = 2
+RULE_NEIGHBOURS, RULE_WIDTH = 3, 0.7
+"""A rule's standard deviation is that multiple of its mean distance from so many nearest neighbours."""
+CONSEQUENT_HOLD = 0.02
+"""Weight of a change of the consequents, relative to the data: rules with few data stay where they are."""
+
 
 class Surface(ABC):
     """One output as a function of the inputs, which can take a step of a weighted regression."""
@@ -33,16 +43,16 @@ class Surface(ABC):
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
         """A surface nearer to `target` (n,) at x (n, D) in the least squares weighted by `weight` (n,).
 
-        effort: how much of the usual work to do, 0..1; less towards the end of the learning.
+        effort: share of the full work, 0..1; it falls towards the end of the learning.
         """
 
     @abstractmethod
     def average(self, others: Sequence[Self]) -> Self:
-        """The mean of the parameters of this one and others that it became by `fit`."""
+        """The surface with the mean of the parameters of this one and others."""
 
     @abstractmethod
     def function(self) -> Function:
-        """What runs."""
+        """The function of a schedule's entry."""
 
 
 @dataclass(frozen=True)
@@ -69,21 +79,15 @@ class NetworkSurface(Surface):
     """A small network, trained by Adam (D. Kingma, J. Ba, 2015) on all rows at once."""
 
     network: Network
-    epochs: int = 100
-    rate: float = 0.01
 
     @classmethod
-    def start(
-        cls, domain: Array, value: float, span: float, seed: int, hidden: Sequence[int] = (16, 8), *,
-        epochs: int = 100, rate: float = 0.01,
-    ) -> NetworkSurface:  # fmt: skip
+    def start(cls, domain: Array, value: float, span: float, seed: int) -> NetworkSurface:
         """A network of random hidden layers whose output is `value` everywhere; `span` is the scale of its changes.
 
-        domain: (D, 2) lowest and highest value of each input; hidden: neurons of each layer; epochs, rate: of Adam in
-        a step, the rate that of the first epoch.
+        domain: (D, 2) lowest and highest value of each input.
         """
         rng = np.random.default_rng(seed)
-        widths = [len(domain), *hidden, 1]
+        widths = [len(domain), *HIDDEN_NEURONS, 1]
         weights, biases = [], []
         for layer, (wide, out) in enumerate(itertools.pairwise(widths)):
             last = layer == len(widths) - 2
@@ -91,7 +95,7 @@ class NetworkSurface(Surface):
             weights.append(np.zeros((wide, out)) if last else rng.normal(size=(wide, out)) * reach / math.sqrt(wide))
             biases.append(np.zeros(out) if last else rng.normal(size=out) * 1.5 - weights[-1].sum(axis=0) / 2.0)
         network = Network(domain[:, 0], domain[:, 1], tuple(weights), tuple(biases), value, value + span, relu=False)
-        return cls(network, epochs, rate)
+        return cls(network)
 
     def predict(self, x: Array) -> Array:
         return self.network.predict(x)
@@ -103,9 +107,9 @@ class NetworkSurface(Surface):
         share = weight / weight.sum()
         parameters = [each.copy() for pair in zip(net.weights, net.biases, strict=True) for each in pair]
         first, second = [0.0 * p for p in parameters], [0.0 * p for p in parameters]
-        for epoch in range(1, self.epochs + 1):
+        for epoch in range(1, ADAM_EPOCHS + 1):
             gradients = _gradients(parameters, z, y, share)
-            rate = self.rate * effort * math.sqrt(1.0 - (epoch - 1) / self.epochs)
+            rate = ADAM_RATE * effort * math.sqrt(1.0 - (epoch - 1) / ADAM_EPOCHS)
             for p, g, m, v in zip(parameters, gradients, first, second, strict=True):
                 m += 0.1 * (g - m)
                 v += 0.01 * (g * g - v)
@@ -145,31 +149,26 @@ class FuzzySurface(Surface):
 
     system: Sugeno
     scale: Array
-    """(D,) half range of each input: what a consequent's slope is measured by"""
-    hold: float = 0.02
-    """weight of a change of the consequents, relative to the data"""
+    """(D,) half range of each input, the unit of a consequent's slope"""
+    hold: float = CONSEQUENT_HOLD
 
     @classmethod
-    def start(
-        cls, rows: Array, value: float, rules: int, seed: int, *, restarts: int = 2, neighbours: int = 3,
-        width: float = 0.7, hold: float = 0.02,
-    ) -> FuzzySurface:  # fmt: skip
+    def start(cls, rows: Array, value: float, rules: int, seed: int) -> FuzzySurface:
         """Gaussian rules around the centres of `rules` clusters of the inputs `rows` (n, D); `value` everywhere.
 
-        Scatter partitioning by k-means with so many restarts. The standard deviation of a rule is `width` times its
-        mean distance from its nearest neighbours, in half ranges of the inputs.
+        Scatter partitioning by k-means. Distances are in half ranges of the inputs.
         """
         from sklearn.cluster import KMeans
 
         low, high = rows.min(axis=0), rows.max(axis=0)
         half = np.where(high > low, (high - low) / 2.0, 1.0)
         z = (rows - low) / half
-        centres = KMeans(rules, n_init=restarts, random_state=seed).fit(z).cluster_centers_
+        centres = KMeans(rules, n_init=KMEANS_RESTARTS, random_state=seed).fit(z).cluster_centers_
         distances = np.sort(np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=2)), axis=1)
-        near = distances[:, 1 : min(neighbours + 1, rules)].mean(axis=1) if rules > 1 else np.ones(1)
+        near = distances[:, 1 : min(RULE_NEIGHBOURS + 1, rules)].mean(axis=1) if rules > 1 else np.ones(1)
         inputs = rows.shape[1]
         premises = np.empty((rules * inputs, 3))
-        premises[:, WIDTH] = (near[:, None] * half * width).ravel()
+        premises[:, WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
         premises[:, SLOPE] = 1.0
         premises[:, 2] = (centres * half + low).ravel()
         consequents = np.zeros((rules, inputs + 1))
@@ -182,7 +181,7 @@ class FuzzySurface(Surface):
             consequents=consequents,
             weights=np.ones(rules),
         )
-        return cls(system, half, hold)
+        return cls(system, half)
 
     def level(self, value: float) -> FuzzySurface:
         """The same rules with the output `value` everywhere."""

@@ -26,11 +26,9 @@ from adaptrack.results.words import (
     clock,
     counted,
     entry,
-    few,
     listed,
     number,
     percent,
-    ratio_with_interval,
     slug,
     span,
     title_of,
@@ -109,7 +107,7 @@ def _environment() -> jinja2.Environment:
         "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(style.hex_of(stroke.colour)),
         "dashes": _dashes,
         "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
-        "title_of": title_of, "span": span, "few": few, "with_interval": ratio_with_interval,
+        "title_of": title_of, "span": span,
     }  # fmt: skip
     return environment
 

@@ -37,6 +37,12 @@ CONFIGURATIONS = {"released": "As released", "same-moves": "The same moves for a
 FIGURES = {"triple-lane-change": (7, 8), "general-trajectory": (9, 10)}
 """Numbers of the paper's figures on the conditions and on the tracking of each test."""
 
+ERRORS = (
+    Column("name", "Test and controller"),
+    Column("mse", "Ours", "m²", 3),
+    Column("paper_mse", "Paper", "m²", "given"),
+    Column("ratio", "Ours", "/ paper", 3),
+)
 BOLD = "Bold: the smallest error of its column that did not fail."
 LEARNING = (
     Column("slot", "Target"),
@@ -149,17 +155,8 @@ def _error(run: Row) -> Any:
 
 def _published_table(published: Sequence[Row]) -> ResultTable:
     """The paper's six mean square errors beside ours."""
-    columns = [Column("name", "Controller")]
-    for test in TESTS:
-        columns += [Column(f"ours {test}", title_of(test), "MSE, m²", 3),
-                    Column(f"paper {test}", "Paper", "m²", "given"),
-                    Column(f"ratio {test}", "Ours", "/ paper", 3)]  # fmt: skip
-    rows: dict[str, dict[str, Any]] = {}
-    for run in published:
-        row = rows.setdefault(run["controller"], {"name": NAMES[run["controller"]].removesuffix(" as released")})
-        test = run["scenario"]
-        row |= {f"ours {test}": run["mse"], f"paper {test}": run["paper_mse"], f"ratio {test}": run["ratio"]}
-    return ResultTable("published", "Mean square tracking errors", columns, list(rows.values()), brief=True)
+    rows = [{**run, "name": f"{title_of(run['scenario'])}, {NAMES[run['controller']]}"} for run in published]
+    return ResultTable("published", "Mean square tracking errors", ERRORS, rows, brief=True)
 
 
 def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable:
@@ -174,8 +171,7 @@ def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable
                 run["controller"], {"name": NAMES[run["controller"]], "moves": MOVES[run["moves"]]}
             )
             row[f"{word} {run['scenario']}"] = run
-    table = errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()), BOLD)
-    return replace(table, brief=True)
+    return errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()), BOLD)
 
 
 def _ablation_table(reproduction: Reproduction) -> ResultTable:
