@@ -155,7 +155,8 @@ def _error(run: Row) -> Any:
 
 def _published_table(published: Sequence[Row]) -> ResultTable:
     """The paper's six mean square errors beside ours."""
-    rows = [{**run, "name": f"{title_of(run['scenario'])}, {NAMES[run['controller']]}"} for run in published]
+    names = [NAMES[run["controller"]].removesuffix(" as released") for run in published]
+    rows = [{**run, "name": f"{title_of(run['scenario'])}, {name}"} for run, name in zip(published, names, strict=True)]
     return ResultTable("published", "Mean square tracking errors", ERRORS, rows, brief=True)
 
 
