@@ -32,6 +32,7 @@ from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.cluster import dask_client
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, StorageError
+from adaptrack.base.files import Damaged
 from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.core.library import kernels_hash
@@ -138,7 +139,10 @@ class CampaignParts:
         file = self.file(number)
         if not file.exists():
             return None
-        part = DataSet.load(file)
+        try:
+            part = DataSet.load(file)
+        except Damaged as error:
+            raise StorageError(f"{error} Remove this part, and run the campaign again.") from None
         for key, name in (("identity", "settings"), ("versions", "software")):
             if part.provenance.get(key) != self.provenance[key]:
                 difference = _difference(part.provenance, self.provenance, key)

@@ -225,7 +225,7 @@ class DataSet:
             for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
         ]
         metadata = {**self.provenance, "library": self.library.tolist()}
-        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, metadata), through_links=False)
+        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, metadata))
 
     @classmethod
     @checked

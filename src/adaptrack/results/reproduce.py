@@ -37,7 +37,7 @@ CONFIGURATIONS = {"released": "As released", "same-moves": "The same moves for a
 FIGURES = {"triple-lane-change": (7, 8), "general-trajectory": (9, 10)}
 """Numbers of the paper's figures on the conditions and on the tracking of each test."""
 
-ERRORS = (
+PUBLISHED_ERRORS = (
     Column("name", "Test and controller"),
     Column("mse", "Ours", "m²", 3),
     Column("paper_mse", "Paper", "m²", "given"),
@@ -155,8 +155,9 @@ def _error(run: Row) -> Any:
 
 def _published_table(published: Sequence[Row]) -> ResultTable:
     """The paper's six mean square errors beside ours."""
-    rows = [{**run, "name": f"{title_of(run['scenario'])}, {NAMES[run['controller']]}"} for run in published]
-    return ResultTable("published", "Mean square tracking errors", ERRORS, rows, brief=True)
+    names = [NAMES[run["controller"]].removesuffix(" as released") for run in published]
+    rows = [{**run, "name": f"{title_of(run['scenario'])}, {name}"} for run, name in zip(published, names, strict=True)]
+    return ResultTable("published", "Mean square tracking errors", PUBLISHED_ERRORS, rows, brief=True)
 
 
 def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable:
