@@ -16,7 +16,7 @@ from adaptrack.base import progress
 from adaptrack.base.progress import Work
 from adaptrack.cli import show, train
 from adaptrack.cli.show import Column
-from adaptrack.results import certificate, comparison, drive_tables, reproduce
+from adaptrack.results import certificate, compare, drive_tables
 from adaptrack.results.console import written
 
 NAMES = {
@@ -33,9 +33,7 @@ def typical(columns):
             for c in columns}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "columns", [drive_tables.CONSOLE, train.QUALITY_COLUMNS, comparison.CONSOLE, certificate.CONSOLE, reproduce.CONSOLE]
-)
+@pytest.mark.parametrize("columns", [drive_tables.CONSOLE, train.QUALITY_COLUMNS, compare.CONSOLE, certificate.CONSOLE])
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")
     row = typical(columns)

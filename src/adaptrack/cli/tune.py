@@ -12,8 +12,8 @@ from typer import Argument, Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
-from adaptrack.cli.road import ROADS
 from adaptrack.cli.options import FAILED
+from adaptrack.cli.road import ROADS
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result
