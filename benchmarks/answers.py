@@ -1,32 +1,16 @@
-"""Every number that the compiled parts of a checkout give on fixed work, and whether another one gives the same bits.
+"""Arrays that the kernels of a checkout give on fixed work: the workloads of `against_release.py`.
 
-    python benchmarks/answers.py CHECKOUT --out FILE.npz [--only NAME ...]
-    python benchmarks/answers.py CHECKOUT --against FILE.npz [--only NAME ...]
-    python benchmarks/answers.py CHECKOUT --coverage
+    python benchmarks/answers.py --record FILE.npz NAME ...
 
-The workloads are the functions in `WORKLOADS`. Each is independent and seeded, calls public functions only, and gives
-arrays under the names of what they say; what it was given is among them, so that answers differ for one reason only.
-`--against` compares to the bit: any NaN equals any NaN, 0 and -0 differ. It ends with status 1 where something differs
-or is missing. What needs a package that is not there (gymnasium) is skipped and said; PYTHONPATH is handed on.
-
-`--coverage` says which kernels have not been compiled when all is done, and so were never used: beginning with an empty
-cache, for code from a cache brings along what it calls.
+Each workload is seeded, independent of the others, calls public functions only and gives arrays by name.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import math
-import os
-import pkgutil
-import subprocess
-import sys
-import tempfile
-import time
-import traceback
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,14 +24,8 @@ STEPS = 2_000
 """of a controller"""
 AHEAD = 80
 """instants of the reference that it sees"""
-FAILED = 3
-"""Status where a workload failed."""
 HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e160, 1e9, -3e4, 5e-324, -0.0)
 """What a broken sensor may say."""
-
-
-class Skipped(Exception):
-    """A workload needs what is not there."""
 
 
 # -- what is given ----------------------------------------------------------------------------------------------------
@@ -56,8 +34,8 @@ def random(name: str) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(name.encode()))
 
 
-class Given(NamedTuple):
-    """What a controller is given, step by step."""
+class Inputs(NamedTuple):
+    """Inputs of a controller, step by step."""
 
     states: Array
     """(n, 9) as `MPC.step` takes them"""
@@ -68,7 +46,7 @@ class Given(NamedTuple):
 
 
 @cache
-def measurements(noise: float = 1.0) -> Given:
+def measurements(noise: float = 1.0) -> Inputs:
     """A car that weaves about its path, its samples noisy and at times late; in bursts missing, infinite or absurd.
 
     noise: factor on that of the sensors.
@@ -89,7 +67,7 @@ def measurements(noise: float = 1.0) -> Given:
             hit = rng.random(piece.shape) < share
             piece[hit] = rng.choice(HOSTILE, int(hit.sum()))
     speeds[1200:1220], speeds[1500:1505] = 0.0, -2.0
-    return Given(states, speeds, references)
+    return Inputs(states, speeds, references)
 
 
 def answer_row(answer: Any) -> list[float]:
@@ -277,13 +255,6 @@ def users_solver() -> Any:
 
 
 # -- controllers, step by step ----------------------------------------------------------------------------------------
-def given_to_controllers(at: Any) -> Named:
-    """What all controllers below are given."""
-    for noise in (1.0, 0.2, 0.05):
-        for name, values in measurements(noise)._asdict().items():
-            yield f"{name}, noise {noise:g}", values
-
-
 def qp_solvers() -> dict[str, Any]:
     """Every setting of our QP solvers."""
     from adaptrack.control.qp.active_set import ActiveSet
@@ -359,12 +330,8 @@ def informed_mpc(at: Any) -> Named:
 def learning_mpc(at: Any) -> Named:
     """The MPC that learns its car, and what it has learned."""
     car = paper(at)
-    variants: dict[str, Any] = {
-        "road": at.Learning(), "production": at.Learning(),
-        "many hypotheses": at.Learning(lags=4, dead_times=3), "one hypothesis": at.Learning(lags=1, dead_times=1),
-    }  # fmt: skip
-    for name, learning in variants.items():
-        mpc = at.MPC(car, profile="production" if name == "production" else "road", learning=learning)
+    for name in ("road", "production"):
+        mpc = at.MPC(car, profile=name, learning=at.Learning())
         yield name, commands(at, mpc, 9)
         learned = mpc.learned()
         yield f"{name}: learned", np.array([value for value in vars(learned).values() if isinstance(value, float)])
@@ -463,32 +430,6 @@ def trackers(at: Any) -> Named:
                 told = tracker.step(now - late[k], *rows[k].tolist(), lateral_velocity=0.01, now=now)
                 found.append([told.command, float(zlib.crc32(told.status.value.encode())), *told[2:]])
             yield f"{name} on {where}", np.array(found)
-
-
-def friction_estimator(at: Any) -> Named:
-    """What is found of friction and wind from signals."""
-    given, rng = measurements(), random("friction")
-    felt = rng.normal(size=STEPS)
-    felt[rng.random(STEPS) < 0.1] = math.nan
-    commanded = 0.05 * np.sin(0.1 * np.arange(STEPS))
-    yield "given", np.column_stack([felt, commanded])
-    for name, options in {"road": {}, "10 Hz, no delay": {"period": 0.1, "delay": False}}.items():
-        for car in ("paper", "van"):
-            estimator, found = at.FrictionWindEstimator(at.load_vehicle(car), **options), []
-            for k in range(STEPS):
-                pull = None if k % 5 == 4 else float(felt[k])
-                told = estimator.step(given.states[k, :4], float(given.speeds[k]), float(commanded[k]), pull)
-                found.append(list(told))
-            yield f"{car}, {name}", np.array(found)
-            yield f"{car}, {name}: covariance", estimator.covariance
-
-
-def compiled_steps(at: Any) -> Named:
-    """Random cases of MPCs and hostile inputs inside the kernels: how many claims they break (none)."""
-    from tools.fuzz.batch import search_compiled
-
-    found = search_compiled(60_000, 1)
-    yield "steps, broken claims", np.array([*found.steps.values(), len(found.failed)])
 
 
 # -- plants and closed loops ------------------------------------------------------------------------------------------
@@ -667,199 +608,6 @@ def batches(at: Any) -> Named:
     )
 
 
-def run_sets(at: Any) -> Named:
-    """Costs, costs of segments, counts and traces of policies on common runs, as evaluations drive them."""
-    from adaptrack.tuning.runs import RunSet
-
-    car = paper(at)
-    plant = at.DualTrack(car, "magic-formula")
-    drives = [at.random_drive(9_500_100 + k, 20.0) for k in range(6)]
-    runs = RunSet(plant, at.published_mpc(car, period=0.05, preview=True), drives, "road", segment=50, before=10)
-    guarded = at.load_scheduler("road-nn")
-    policies = {
-        "constant": at.Tuning(35, 8, 1.0, 3000.0), "network": guarded, "look-up": at.load_scheduler("road-look-up"),
-        "anfis": at.load_scheduler("road-anfis"), "informed": at.MPC(car, profile="road"),
-        "lqr": at.LQR(car, period=0.05),
-    }  # fmt: skip
-    for name, policy in policies.items():
-        yield f"{name}: costs", runs.costs(policy, (1, 2))
-        yield f"{name}: segments", runs.segments(policy, 1, np.arange(len(runs)))
-    yield "network: counts", np.array(list(runs.counts(guarded, 1).values()))
-    yield "network: traces", np.vstack([trace(each[0]) for each in runs.trajectories(guarded, (1,))])
-
-
-# -- tuning and learning ----------------------------------------------------------------------------------------------
-def swarms(at: Any) -> Named:
-    """Positions and costs of swarms on a known function; what their settings make of inertia and accelerations."""
-
-    def bowl(x: Array) -> Array:
-        return np.sum((x - 2.5) ** 2, axis=1)
-
-    spaces = {
-        "tunings": at.SearchSpace.tuning(),
-        "decades": at.SearchSpace(names=("a", "b"), low=(1e-3, -5.0), high=(1e3, 5.0), decades=("a",)),
-    }  # fmt: skip
-    for name, space in spaces.items():
-        for kind, settings in {
-            "improved": at.SwarmSettings(), "classic": at.SwarmSettings.classic(particles=70, generations=40),
-        }.items():  # fmt: skip
-            swarm, asked = at.Swarm(space, settings, seed=11, stream=3), []
-            while not swarm.done:
-                asked.append(swarm.ask())
-                swarm.tell(bowl(asked[-1]))
-            yield f"{name}, {kind}: positions", np.array(asked)
-            yield (
-                f"{name}, {kind}: state",
-                np.concatenate([np.ravel(each).astype(float) for each in swarm.state.values()]),
-            )
-            yield f"{name}, {kind}: schedule", settings.schedule()
-            yield f"{name}, {kind}: minimise", numbers(at.minimise(bowl, space, settings, seed=1))
-
-
-def tuning(at: Any) -> Named:
-    """The best constants that swarms find on operating points, and the cost of many tunings there."""
-    car, rng = paper(at), random("tuning")
-    plant = at.DualTrack(car, "magic-formula")
-    library = np.column_stack([rng.integers(1, 56, 100), rng.integers(1, 19, 100), *rng.uniform(0.1, 10.0, (2, 100))])
-    objectives = {
-        "paper": at.Objective(plant, at.published_mpc(car)),
-        "paper, single track": at.Objective(at.SingleTrack(car), at.published_mpc(car)),
-        "road": at.Objective(plant, at.MPC(car, profile="road"), "lane-change", "road", (1, 2)),
-        "user's plant": at.Objective(users_plant(at), at.published_mpc(car), duration=4.0),
-    }  # fmt: skip
-    points = np.array([[15.0, 3.0, 0.8, 0.0], [24.0, -6.0, 0.5, 20.0]])
-    yield "library", library
-    for name, objective in objectives.items():
-        for i, point in enumerate(points):
-            yield f"{name}, point {i}: costs", objective.costs(point, library)
-            found = objective.tune(point, at.SwarmSettings(particles=40, generations=8), 5, i)
-            yield f"{name}, point {i}: tuned", numbers(found)
-
-
-def schedules(at: Any) -> Named:
-    """Every kind of function and guard, asked for rows of scheduling variables within and beyond their domain."""
-    from adaptrack.control.scheduling import Network, StabilityMap, Sugeno, Table
-
-    rng, inputs = random("schedules"), ("speed", "y_ref", "friction", "wind")
-    domain = np.array([(3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)])
-    rows = rng.uniform((0.0, -20.0, 0.1, -50.0, -4.0, -6.0, -3.0), (45.0, 20.0, 1.3, 50.0, 4.0, 6.0, 3.0), (500, 7))
-    rows[rng.random(rows.shape) < 0.01] = math.nan
-    yield "variables", rows
-    calm = np.tile(np.array([15.0, 0.0, 0.7, 0.0, 0.0, 0.0, 0.0]), (500, 1))
-    calm += rng.normal(size=calm.shape) * (2.0, 2.0, 0.03, 5.0, 0.1, 0.5, 0.1)
-    met = np.where(rng.random((500, 1)) < 0.02, rows, calm)
-    yield "variables in an MPC", met
-    weights = tuple(rng.normal(size=size) / math.sqrt(size[0]) for size in ((4, 16), (16, 8), (8, 1)))
-    biases = rng.normal(size=16), rng.normal(size=8), np.full(1, 0.5 - weights[-1].sum() / 2.0)
-    centres = rng.uniform(domain[:, 0], domain[:, 1], (12, 4)).ravel()
-    widths = np.tile(0.3 * (domain[:, 1] - domain[:, 0]), 12)
-    fuzzy = Sugeno(
-        np.tile(np.arange(4), 12), rng.random(48) < 0.5, np.column_stack([widths, np.full(48, 1.5), centres]),
-        np.arange(48).reshape(12, 4), np.column_stack([rng.normal(size=(12, 4)) * 0.1, rng.uniform(2.0, 12.0, 12)]),
-        np.ones(12),
-    )  # fmt: skip
-    axes = {"speed": [3.0, 10.0, 20.0, 27.0], "friction": [0.5, 0.7, 0.9]}
-    nodes = np.stack(
-        [rng.integers(5, 50, (4, 3)), rng.integers(1, 6, (4, 3)), *rng.uniform(0.1, 9.0, (2, 4, 3))], axis=-1
-    )
-    learned = at.Learned(
-        {"Np": Network(domain[:, 0], domain[:, 1], weights, biases, 5.0, 50.0, relu=False), "Nc": fuzzy,
-         "Q": 1.0, "R": Network(domain[:, 0], domain[:, 1], weights, biases, 0.1, 5.0)},
-        inputs, domain,
-    )  # fmt: skip
-    margins = Table(
-        (np.array([3.0, 15.0, 30.0]), np.array([0.3, 1.0]), np.array([1.0, 60.0]), np.array([1.0, 20.0]),
-         np.array([-6.0, 6.0])), rng.uniform(0.65, 1.0, (3, 2, 2, 2, 2)),
-    )  # fmt: skip
-    made = {
-        "constant": at.Constant(at.Tuning()), "nearest": at.Lookup(axes, nodes, "nearest"),
-        "multilinear": at.Lookup(axes, nodes), "learned": learned,
-        "ratio": at.Learned({"Np": 30.0, "Nc": fuzzy, "log10_ratio": 1.5}, inputs, domain),
-        "guarded": at.Guarded(learned, at.Tuning(), offset_limit=0.3),
-        "guarded by a map": at.Guarded(learned, at.Tuning(), stability=StabilityMap(margins), hold=5),
-    }  # fmt: skip
-    for name, schedule in made.items():
-        yield name, schedule.batch(rows)
-        mpc = at.published_mpc(paper(at), scheduler=schedule)
-        yield f"{name}: in an MPC", commands(at, mpc, 4, [met[k % len(met)] for k in range(STEPS)], noise=0.05)
-        yield f"{name}: counts", np.array(list(mpc.scheduler_counts.values()))
-    for name in at.list_schedulers():
-        yield f"shipped {name}", at.load_scheduler(name).batch(rows)
-
-
-def episodes(at: Any) -> Named:
-    """What the environments of gymnasium show under random actions, one car and many."""
-    try:
-        import gymnasium  # noqa: F401
-    except ImportError:
-        raise Skipped("gymnasium is not installed") from None
-    from adaptrack.gym import MPCTuningEnv, PathTrackingEnv  # type: ignore[attr-defined]
-    from adaptrack.gym.vector import MPCTuningVectorEnv, PathTrackingVectorEnv
-
-    made: dict[str, tuple[Callable[[], Any], int]] = {
-        "steering": (lambda: PathTrackingEnv(length=200.0), 250),
-        "tuning": (lambda: MPCTuningEnv(length=200.0), 40),
-        "many steering": (lambda: PathTrackingVectorEnv(70, length=200.0, road=("country:1", "random-drive:3")), 250),
-        "many tuning": (lambda: MPCTuningVectorEnv(40, length=200.0), 40),
-        "many tuning, learning": (lambda: MPCTuningVectorEnv(6, controller="informed-learning", length=200.0), 20),
-        "many tuning, published": (lambda: MPCTuningVectorEnv(6, controller="as-written", length=200.0), 20),
-        "many steering random cars": (
-            lambda: PathTrackingVectorEnv(3, random_cars=True, length=200.0, profile="production"), 60
-        ),
-    }  # fmt: skip
-    for name, (make, steps) in made.items():
-        environment, rng = make(), random(name)
-        space = environment.action_space
-        seen, _ = environment.reset(seed=5)
-        found = [np.ravel(seen)]
-        for _ in range(steps):
-            middle, half = 0.5 * (space.low + space.high), 0.5 * (space.high - space.low)
-            action = middle + (0.05 if "steering" in name else 1.0) * half * rng.uniform(-1.0, 1.0, space.shape)
-            seen, reward, ended, cut, _ = environment.step(action)
-            found.append(np.concatenate([np.ravel(each).astype(float) for each in (seen, reward, ended, cut)]))
-            if "many" not in name and (ended or cut):
-                seen, _ = environment.reset()
-        yield f"{name}: first", found[0]
-        yield name, np.array(found[1:])
-        environment.close()
-
-
-def identification(at: Any) -> Named:
-    """The likelihood of a log at points around what is believed, and what it is found to say of the car."""
-    from adaptrack.identification.likelihood import Likelihood
-    from adaptrack.identification.log import log_of
-    from adaptrack.identification.quantities import QUANTITIES, beliefs_of
-
-    car, rng = paper(at), random("log")
-    run = at.rollout(
-        at.DualTrack(car, "magic-formula"),
-        at.MPC(car, profile="road"),
-        at.random_drive(9_500_200, 40.0),
-        profile="road",
-    )
-    n = len(run)
-    columns = {
-        "time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate + 0.005 * rng.normal(size=n),
-        "vy": run.vy + 0.05 * rng.normal(size=n), "yaw": run.psi + 0.005 * rng.normal(size=n), "wheel": run.steering,
-        "acceleration": run.lateral_acceleration + 0.1 * rng.normal(size=n),
-    }  # fmt: skip
-    yield "log", np.column_stack(list(columns.values()))
-    few = {name: columns[name] for name in ("time", "command", "speed", "yaw_rate")}
-    for name, given in {"all sensors": columns, "yaw rate only": few}.items():
-        likelihood = Likelihood(log_of({k: v.copy() for k, v in given.items()}, car.wheelbase), car, beliefs_of(car))
-        for k in range(4):
-            z = 0.5 * rng.normal(size=len(QUANTITIES)) * (k > 0)
-            yield f"{name}, point {k}: innovations and variances", np.concatenate(likelihood.innovations(z))
-            yield f"{name}, point {k}: objective", np.array(likelihood.objective(z))
-            yield f"{name}, point {k}: found", np.array(list(likelihood.found(z).values()))
-    told = at.identify(few, car)
-    yield (
-        "estimates",
-        np.array([[each.value, each.standard_error, each.low, each.high] for each in told.estimates.values()]),
-    )
-    yield "covariance", told.covariance
-
-
 # -- roads, models, quadratic programmes ------------------------------------------------------------------------------
 def road_geometry(at: Any) -> Named:
     """Points, feet near and far, headings, and what lies ahead, of made, fitted and generated roads."""
@@ -879,51 +627,6 @@ def road_geometry(at: Any) -> Named:
             ahead = at.RoadAhead(road, 40.0 * k - 30.0, rng.uniform(5.0, 25.0, 60))
             yield f"{name}: ahead {k}", ahead.bend(100, 12.0, 2.3, 0.05)
         yield f"{name}: plan", np.concatenate(at.plan_speed(road, paper(at)).motion(np.linspace(0.0, 20.0, 200)))
-
-
-def generated_roads(at: Any) -> Named:
-    """Generated roads, and one through points: made in Python, their feet compiled."""
-    made = {kind: at.generate_road(kind, seed=1, length=600.0) for kind in ("country", "mountain")}
-    angle = np.linspace(0.0, 6.0, 60)
-    through = at.road_through if hasattr(at, "road_through") else at.Road.through  # until 0.2.0
-    made["through points"] = through(np.column_stack([40.0 * angle, 10.0 * np.sin(angle)]))
-    for name, road in made.items():
-        s = np.linspace(0.0, road.length, 300)
-        points = road.at(s)
-        yield f"{name}: points", np.column_stack(points)
-        yield f"{name}: feet", np.column_stack(road.project(points.x + 1.0, points.y - 1.0))
-
-
-def models(at: Any) -> Named:
-    """Prediction models and Laguerre functions: matrices and responses over speeds."""
-    from adaptrack.control.models import laguerre_basis
-
-    car = paper(at)
-    made = {
-        "single track": at.SingleTrackModel(car, 0.1), "path": at.PathModel(car, 0.05, 0.15, 0.1),
-        "path without lag": at.PathModel(car, 0.05), "user's": users_model(at),
-    }  # fmt: skip
-    for name, model in made.items():
-        found = []
-        for speed in (0.01, 0.5, 1.0, 3.0, 10.0, 27.0, 60.0):
-            found += [np.ravel(each) for each in (*model.discrete(speed), *model.responses(speed, 50))]
-            found += [np.ravel(each) for each in model.responses(speed, 20, True)]
-        yield name, np.concatenate(found)
-        yield f"{name}: turning", model.turning()
-    for pole in (0.0, 0.5, 0.95):
-        yield f"laguerre functions, pole {pole}", laguerre_basis(60, 10, pole)
-
-
-def stability(at: Any) -> Named:
-    """The map of modulus margins that a guard reads: models, laws and estimators linearised."""
-    from adaptrack.analysis.stability import loop_map
-
-    car = paper(at)
-    nodes = [20.0, 40.0], [2.0, 8.0], [2.0, 4.0]
-    for name, mpc in {"published": at.published_mpc(car, period=0.05), "informed": at.MPC(car, profile="road")}.items():
-        axes, values = loop_map(at.DualTrack(car), mpc, "road", speed=(5.0, 20.0), nodes=nodes)
-        yield f"{name}: axes", np.concatenate(axes)
-        yield f"{name}: values", values
 
 
 def quadratic_programmes(at: Any) -> Named:
@@ -953,164 +656,28 @@ def quadratic_programmes(at: Any) -> Named:
         yield name, np.concatenate([np.asarray(each, dtype=float) for each in found])
 
 
-WORKLOADS: tuple[Callable[[Any], Named], ...] = (
-    given_to_controllers, published_mpc, informed_mpc, learning_mpc, scheduled_mpc, steering_laws, mpc_on_roads,
-    trackers, friction_estimator, compiled_steps, right_hand_sides, straight_runs, road_runs,
-    runs_of_others, batches, run_sets, swarms, tuning, schedules, episodes, identification, road_geometry,
-    generated_roads, models, stability, quadratic_programmes,
-)  # fmt: skip
+WORKLOADS: Mapping[str, Callable[[Any], Named]] = {
+    workload.__name__.replace("_", "-"): workload
+    for workload in (
+        published_mpc, informed_mpc, learning_mpc, scheduled_mpc, steering_laws, mpc_on_roads, trackers,
+        right_hand_sides, straight_runs, road_runs, runs_of_others, batches, road_geometry, quadratic_programmes,
+    )
+}  # fmt: skip
 
 
-# -- in the process that has a checkout on its path -------------------------------------------------------------------
-def record(file: Path, names: Iterable[str], coverage: bool) -> int:
-    """Do the workloads and write their arrays; how many failed: these are told, and the rest of them is missing."""
+def record(file: Path, names: Sequence[str]) -> None:
+    """Do the workloads with the package of this interpreter and write their arrays."""
     import adaptrack as at
 
-    if not Path(at.__file__).is_relative_to(os.environ["ANSWERS_OF"]):
-        raise SystemExit(f"adaptrack is taken from {at.__file__}.")
-    found: dict[str, Array] = {}
-    chosen = [each for each in WORKLOADS if each.__name__ in names]
-    begun, failed = time.monotonic(), 0
-    for k, workload in enumerate(chosen):
-        before, cpu = len(found), time.process_time()
-        said = ""
-        try:
-            for name, value in workload(at):
-                found[f"{workload.__name__}/{name}"] = np.asarray(value, dtype=float)
-        except Skipped as reason:
-            said = f", skipped: {reason}"
-        except Exception:
-            traceback.print_exc()
-            said, failed = ", FAILED, see above", failed + 1
-        print(
-            f"{k + 1} of {len(chosen)}: {workload.__name__}, {len(found) - before} arrays, "
-            f"{time.process_time() - cpu:.1f} CPU s, {time.monotonic() - begun:.0f} s so far{said}",
-            file=sys.stderr, flush=True,
-        )  # fmt: skip
-    np.savez_compressed(file, **{name.replace("/", "|"): values for name, values in found.items()})
-    if coverage:
-        say_coverage()
-    return failed
-
-
-def say_coverage() -> None:
-    """The kernels that have never been compiled in this process, or never called in the library."""
-    if importlib.util.find_spec("adaptrack.core") is not None:
-        from adaptrack.core.kernel import EXPORTED
-
-        never = sorted(name for name, each in EXPORTED.items() if "address" not in vars(each))
-        print(f"coverage: {len(EXPORTED) - len(never)} of {len(EXPORTED)} kernels were called from Python")
-        print(*(f"  by kernels alone, or never: {name}" for name in never), sep="\n")
-        return
-    import adaptrack.kernels as room
-    from adaptrack.kernels import abi
-
-    if not hasattr(abi, "_Kernel"):
-        print("coverage: this checkout does not say which of its kernels are compiled")
-        return
-    modules = [importlib.import_module(each.name) for each in pkgutil.walk_packages(room.__path__, f"{room.__name__}.")]
-    candidates = [value for module in modules for value in vars(module).values()]
-    for plant, laws in (("single_track", 3), ("dual_track", 3)):
-        module = importlib.import_module(f"{room.__name__}.plants.{plant}")
-        candidates += [each for law in range(laws) for each in module.compiled(law)]
-    kernels = {id(each): each for each in candidates if isinstance(each, abi._Kernel) and each.kept and each.declared}
-    never = sorted(
-        f"{each.py_func.__module__}.{each.py_func.__qualname__}" for each in kernels.values() if not each.overloads
-    )
-    print(f"coverage: {len(kernels) - len(never)} of {len(kernels)} kernels have been compiled")
-    print(*(f"  never: {name}" for name in never), sep="\n")
-
-
-# -- in the process that compares -------------------------------------------------------------------------------------
-def differences(one: Array, other: Array) -> tuple[int, float]:
-    """How many numbers differ in their bits, and by how much at most, relative to the larger; NaN alike are equal."""
-    same = (one.view(np.int64) == other.view(np.int64)) | (np.isnan(one) & np.isnan(other))
-    a, b = one[~same], other[~same]
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        away = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
-    away = np.where((a == b), 0.0, np.where(np.isnan(away), math.inf, away))
-    return int(a.size), float(away.max(initial=0.0))
-
-
-def compare(reference: Mapping[str, Array], found: Mapping[str, Array]) -> Iterator[tuple[bool, str]]:
-    """Whether each array is the same to the bit, in words."""
-    for name in reference:
-        if name not in found:
-            yield False, f"{name}: MISSING here"
-        elif reference[name].shape != found[name].shape:
-            yield False, f"{name}: DIFFERENT shape, {found[name].shape} instead of {reference[name].shape}"
-        else:
-            count, away = differences(reference[name].ravel(), found[name].ravel())
-            size = reference[name].size
-            equal = f"{name}: equal, {size:,} numbers"
-            yield count == 0, equal if not count else f"{name}: {count:,} of {size:,} DIFFER, relative {away:.2g}"
-    for name in found.keys() - reference.keys():
-        yield False, f"{name}: not in the reference"
-
-
-def read(file: Path, names: Iterable[str]) -> dict[str, Array]:
-    """The arrays of these workloads."""
-    with np.load(file) as arrays:
-        found = {name.replace("|", "/"): np.ascontiguousarray(arrays[name]) for name in arrays.files}
-    return {name: values for name, values in found.items() if name.partition("/")[0] in names}
-
-
-def main() -> int:
-    """The command; 1 where an answer differs."""
-    names = [each.__name__ for each in WORKLOADS]
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkout", type=Path)
-    parser.add_argument("--out", type=Path, help="write the answers to this file")
-    parser.add_argument("--against", type=Path, help="a file of answers")
-    parser.add_argument("--only", nargs="+", metavar="NAME", choices=names, default=names, help=", ".join(names))
-    parser.add_argument("--coverage", action="store_true", help="say which kernels were not compiled")
-    parser.add_argument("--python", default=sys.executable, help="runs the checkout")
-    parser.add_argument("--cache", type=Path, help="folder of compiled kernels; by default that of the environment")
-    parser.add_argument("--quiet", action="store_true", help="print what differs alone")
-    parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.record is not None:
-        return FAILED if record(asked.record, asked.only, asked.coverage) else 0
-    if not (asked.out or asked.against or asked.coverage):
-        parser.error("say --out, --against or --coverage")
-    checkout = asked.checkout.resolve()
-    with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "answers.npz"
-        paths = [str(checkout / "src"), str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "ANSWERS_OF": str(checkout),
-                       "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # fmt: skip
-        cache_folder = Path(temporary) / "cache" if asked.coverage else asked.cache
-        if cache_folder is not None:
-            environment["NUMBA_CACHE_DIR"] = str(cache_folder.resolve())
-        command = [
-            asked.python,
-            str(Path(__file__).resolve()),
-            str(checkout),
-            "--record",
-            str(file),
-            "--only",
-            *asked.only,
-        ]
-        done = subprocess.run([*command, *["--coverage"] * asked.coverage], env=environment, check=False)
-        if done.returncode not in (0, FAILED):
-            return done.returncode
-        found = read(file, asked.only)
-        if asked.out is not None:
-            asked.out.write_bytes(file.read_bytes())
-    print(f"{checkout}: {len(found)} arrays, {sum(each.size for each in found.values()):,} numbers")
-    if asked.against is None:
-        return done.returncode
-    there = {name.partition("/")[0] for name in found}
-    skipped = [name for name in asked.only if name not in there] if done.returncode == 0 else []
-    print(*(f"{name}: skipped, NOT compared\n" for name in skipped), sep="", end="")
-    compared = list(compare(read(asked.against, {*asked.only} - {*skipped}), found))
-    for same, text in compared:
-        if not (same and asked.quiet):
-            print(text)
-    different = sum(not same for same, _ in compared)
-    print(f"{len(compared) - different} of {len(compared)} arrays are the same to the bit")
-    return done.returncode or int(different > 0)
+    np.savez_compressed(file, **{
+        f"{name}|{key.replace('/', ' per ')}": np.asarray(values, dtype=float)
+        for name in names for key, values in WORKLOADS[name](at)
+    })  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("names", nargs="+", choices=WORKLOADS)
+    parser.add_argument("--record", type=Path, required=True, metavar="FILE")
+    options = parser.parse_args()
+    record(options.record, options.names)

@@ -4,12 +4,10 @@ The oracles: mpmath with 240 bits, whole numbers and fractions, and for what IEE
 """
 
 import ast
-import importlib.util
 import math
 import struct
 import sys
 from fractions import Fraction
-from pathlib import Path
 from types import FunctionType
 
 import mpmath as mp
@@ -20,22 +18,13 @@ import pytest
 from adaptrack.core.kernel import INTERPRETED, Known, fma
 from adaptrack.core.maths import bits, exact, exponential, polynomial, trigonometric
 from inlined import entry
+from references import elementary
 
 pytestmark = pytest.mark.kernels
 
 
-def _benchmark():
-    path = Path(__file__).resolve().parents[1] / "benchmarks" / "elementary.py"
-    spec = importlib.util.spec_from_file_location("benchmark_of_elementary", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-BENCHMARK = _benchmark()
-FUNCTIONS = {name: each for name, each in BENCHMARK.FUNCTIONS.items() if each.arguments}
-ENTRIES = {name: BENCHMARK.entry_of(each) for name, each in BENCHMARK.FUNCTIONS.items()}
+FUNCTIONS = {name: each for name, each in elementary.FUNCTIONS.items() if each.arguments}
+ENTRIES = {name: elementary.entry_of(each) for name, each in elementary.FUNCTIONS.items()}
 ENTRIES |= {"soft_fma": exact.soft_fma, "whole_fma": exact.whole_fma, "soft_ceil": entry(exact.soft_ceil)}
 INF, NAN = math.inf, math.nan
 ULPS = 4096.0 if INTERPRETED else 1.0  # the interpreter's multiply-add rounds twice: 1e-12 is left
@@ -66,7 +55,7 @@ def test_no_function_is_off_by_more_than_a_unit_in_the_last_place(name, kind, rn
     if INTERPRETED and kind == "right angles":
         pytest.skip("the interpreter's multiply-add rounds twice: near a zero of sine nothing is left")
     function = FUNCTIONS[name]
-    error, at = BENCHMARK.worst(function, ENTRIES[name], function.arguments[kind](rng, 70))
+    error, at = elementary.worst(function, ENTRIES[name], function.arguments[kind](rng, 70))
     assert error <= ULPS, at
 
 
@@ -75,7 +64,7 @@ def test_no_function_is_off_by_more_than_a_unit_in_the_last_place(name, kind, rn
 @pytest.mark.parametrize(("name", "kind"), CLASSES)
 def test_no_function_is_off_by_more_than_nine_tenths_of_a_unit_among_many_arguments(name, kind, rng):
     function = FUNCTIONS[name]
-    error, at = BENCHMARK.worst(function, ENTRIES[name], function.arguments[kind](rng, 20000))
+    error, at = elementary.worst(function, ENTRIES[name], function.arguments[kind](rng, 20000))
     assert error <= 0.9, at
 
 
@@ -154,8 +143,8 @@ def test_a_ratio_that_has_an_arctangent_has_the_one_that_its_quotient_has(rng):
     function = entry(trigonometric.arctangent_of_ratio)
     for y, x in zip((few_bits(rng, 1000, 5)).tolist(), np.exp2(rng.uniform(-1000, 1000, 1000)).tolist(), strict=True):
         y *= x
-        with mp.workprec(BENCHMARK.PRECISION):
-            assert BENCHMARK.ulps(function(y, x), mp.atan2(mp.mpf(y), mp.mpf(x))) <= 1.0
+        with mp.workprec(elementary.PRECISION):
+            assert elementary.ulps(function(y, x), mp.atan2(mp.mpf(y), mp.mpf(x))) <= 1.0
     assert function(INF, 1.0) == PI / 2
     assert math.isnan(function(1.0, NAN))
     assert math.isnan(function(NAN, 1.0))
