@@ -492,7 +492,6 @@ def test_the_law_gives_the_commands_of_the_controller(mpc):
 @pytest.mark.parametrize("name", ["published", "informed"])
 @pytest.mark.parametrize("by", [Mismatch(), Mismatch(lag=0.06, dead_time=-0.05, stiffness=0.7, mass=1.2)])
 def test_no_loop_that_is_certified_stable_grows_in_the_simulator(name, by):
-    """The small sister of benchmarks/small_deviations.py: random tunings, speeds and frictions."""
     rng, n, quarter = np.random.default_rng(10), 48, 400
     mpc = {"published": ROAD_MPC, "informed": INFORMED}[name]
     world = QUIET.replace(delay=1.0 + round(by.dead_time / 0.05))

@@ -16,16 +16,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import textwrap
-import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
-
-from adaptrack.base.errors import AdaptrackError
-from adaptrack.base.files import SHIPPED
 
 Faults = Iterator[str]
 TIMEOUT = 300.0
@@ -176,56 +170,7 @@ def attack_roads(folder: Path, rng: random.Random) -> Faults:
     return _give_files(folder, _write_roads(folder), ("road", "check"), ("drive", "--out", "out"))
 
 
-def attack_fis(folder: Path, rng: random.Random) -> Faults:
-    """Files of fuzzy systems with characters and lines that were changed, dropped and repeated."""
-    from adaptrack.learning import read_fis, write_fis
-    from adaptrack.learning.anfis import ANFIS
-
-    inputs = [[rng.random(), rng.random()] for _ in range(60)]
-    write_fis(ANFIS(epochs=2).fit(inputs, [a - b for a, b in inputs]), folder / "good.fis")
-    lines = (folder / "good.fis").read_text().splitlines(keepends=True)
-    for _ in range(2_000):
-        changed = list(lines)
-        for _ in range(rng.choice((1, 1, 3))):
-            i = rng.randrange(len(changed))
-            at = rng.randrange(len(changed[i]) or 1)
-            piece = rng.choice(("", "9" * 400, "-1", "nan", "1e400", "'", "]", "\0", "[Rules]", "0", "é", " "))
-            changed[i] = rng.choice((changed[i][:at] + piece + changed[i][at + 1 :], "", changed[i] * 2))
-        (folder / "bad.fis").write_text("".join(changed))
-        try:
-            outputs = read_fis(folder / "bad.fis").predict(inputs[:5])
-            yield "" if all(abs(value) < float("inf") for value in outputs) else f"wrong: predicts {outputs}"
-        except AdaptrackError:
-            yield ""
-        except Exception as error:
-            yield f"crashed: {type(error).__name__}: {error} ({''.join(changed)!r})"
-
-
-_PLUGINS = {
-    "syntax": "def f(:\n", "raises": "1 / 0\n", "missing": "import no_such_module_at_all\n",
-    "exits": "import sys; sys.exit(7)\n", "exits_well": "raise SystemExit\n", "deep": "f = lambda: f()\nf()\n",
-    "nul": "a = '\0'\n", "memory": "a = bytearray(1 << 60)\n", "assertion": "assert False\n",
-    "interrupts": "raise KeyboardInterrupt\n", "name": "import adaptrack as at; at.no_such_name\n",
-    "refused": "import adaptrack as at; at.register_controller('lqr', object)\n",
-    "group": "raise ExceptionGroup('several', [ValueError('one')])\n", "unprintable":
-    "class E(Exception):\n    def __str__(self): raise ValueError('of E')\nraise E\n",
-}  # fmt: skip
-
-
-def attack_plugins(folder: Path, rng: random.Random) -> Faults:
-    """Modules that fail while `--plugin` imports them: refused in a sentence that names the module."""
-    (folder / "latin.py").write_bytes("a = 'é'\n".encode("latin-1"))
-    for name, text in _PLUGINS.items():
-        (folder / f"{name}.py").write_text(text)
-    for name in (*_PLUGINS, "latin"):
-        ended = execute(adaptrack("simulate", "lane-change", "--plugin", name, "--out", "out"), folder)
-        fault = ended.fault((REFUSED, 130) if name == "interrupts" else (REFUSED,))
-        if not fault and ended.code == REFUSED and f"plugin {name}" not in ended.errors:
-            fault = f"wrong: the sentence does not name the module: {ended.errors[-200:]}"
-        yield fault and f"{fault} (--plugin {name})"
-
-
-# -- disks and files that change --------------------------------------------------------------------------------------
+# -- disks ------------------------------------------------------------------------------------------------------------
 _TUNE = ("tune", "town", "--controller", "stanley", "--runs", 100, "--length", 200, "--noise-seeds", 1, "--speed", 8)
 _CAMPAIGN = """
 vehicle = "paper"\nplant = "dual-track"\ntyre = "magic-formula"\nprofile = "paper"\ncontroller = "as-written"
@@ -265,33 +210,6 @@ def attack_disks(folder: Path, rng: random.Random) -> Faults:
             yield fault and f"{fault} ({name}, {options})"
 
 
-def attack_changing_files(folder: Path, rng: random.Random) -> Faults:
-    """A log, a road and a car file that are written anew, in place, while commands read them."""
-    rows = "".join(f"{0.05 * i},{0.5 * i},{0.001 * i * i},0.01,10,0.01,0.002\n" for i in range(20_000))
-    points = "".join(f"{2 * i},{0.001 * i * i}\n" for i in range(3_000))
-    cases = {
-        "log.csv": ("time,x,y,yaw,speed,yaw_rate,command\n" + rows, ("check-loop", "log.csv")),
-        "road.csv": ("x,y\n" + points, ("road", "check", "road.csv")),
-        "car.toml": ((SHIPPED / "vehicles" / "midsize-sedan.toml").read_text(), ("car", "car.toml")),
-    }  # fmt: skip
-    for name, (text, command) in cases.items():
-        stop = threading.Event()
-
-        def rewrite(file: Path = folder / name, text: str = text, stop: threading.Event = stop) -> None:
-            while not stop.wait(0.001):
-                file.write_text(text[: rng.randrange(len(text))])
-                file.write_text(text)
-
-        (folder / name).write_text(text)
-        writer = threading.Thread(target=rewrite)
-        writer.start()
-        for _ in range(5):
-            fault = execute(adaptrack(*command), folder).fault()
-            yield fault and f"{fault} ({name})"
-        stop.set()
-        writer.join()
-
-
 # -- signals and processes --------------------------------------------------------------------------------------------
 def attack_ctrl_c(folder: Path, rng: random.Random) -> Faults:
     """Ctrl-C at random times: exit code 130 without a traceback, or the command had ended; no temporary file stays."""
@@ -312,24 +230,6 @@ def attack_ctrl_c(folder: Path, rng: random.Random) -> Faults:
             yield fault and f"{fault} ({name})"
 
 
-def attack_killed_tune(folder: Path, rng: random.Random) -> Faults:
-    """`tune`, killed and run again: its file is absent or whole, and has the bits of a search that was left alone."""
-    file, words = folder / "tuning.toml", adaptrack(*_TUNE, "--out", "tuning.toml")
-    begun = time.monotonic()
-    execute(words, folder)
-    whole, expected = time.monotonic() - begun, file.read_bytes()
-    for _ in range(20):
-        file.unlink(missing_ok=True)
-        execute(words, folder, signal.SIGKILL, rng.uniform(0.0, whole))
-        if file.exists() and file.read_bytes() != expected:
-            yield "wrong: a file that is not whole"
-        elif rng.random() < 0.75:  # every fourth one is run again
-            yield ""
-        else:
-            fault = execute(words, folder).fault((0,))
-            yield fault or ("" if file.read_bytes() == expected else "wrong: other bits")
-
-
 def attack_killed_campaign(folder: Path, rng: random.Random) -> Faults:
     """`campaign`, killed again and again and resumed: the data set has the bits of one that was left alone."""
     (folder / "small.toml").write_text(_CAMPAIGN)
@@ -346,84 +246,6 @@ def attack_killed_campaign(folder: Path, rng: random.Random) -> Faults:
             shutil.rmtree(folder / "killed")
         else:
             yield ""
-
-
-_SPAWN = """
-    import multiprocessing, sys, threading
-    import numpy as np
-    import adaptrack as at
-
-    CAR = at.load_vehicle("midsize-sedan")
-
-    def drive(work):
-        mpc, road, seed = work
-        run = at.simulate(at.SingleTrack(CAR), mpc, at.load_scenario("lane-change"), profile="road", seed=seed)
-        return run.command.tobytes() + road.at(np.arange(0.0, 50.0, 5.0)).x.tobytes()
-
-    if __name__ == "__main__":
-        road = at.generate_road("town", length=200.0, seed=1)
-        work = [(at.MPC(CAR), road, seed) for seed in (1, 2)]
-        expected = list(map(drive, work))
-        with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
-            assert pool.map(drive, work) == expected, "other bits in another process"
-"""
-
-
-def attack_processes(folder: Path, rng: random.Random) -> Faults:
-    """Drives in processes that are spawned, forked and served: they end, with the bits of the one process."""
-    (folder / "drives.py").write_text(textwrap.dedent(_SPAWN))
-    for method in ("spawn", "fork", "forkserver"):
-        ended = execute([sys.executable, "drives.py", method], folder)
-        fault = ended.fault((0,))
-        yield fault and f"{fault.replace('crashed', 'wrong') if 'other bits' in fault else fault} ({method})"
-
-
-_BUILD = """
-    import os, sys
-    from pathlib import Path
-    os.environ["ADAPTRACK_KERNELS"] = "jit"
-    from adaptrack.core import library
-    library.source_hashes()
-    from adaptrack.core.build import exports, library as builder
-    library.BUILT = Path("built")
-    builder.ROOMS = ("adaptrack.core.maths",)
-    exports.shipped = lambda *_: []
-    if __name__ == "__main__":
-        builder.build()
-"""
-"""The builder with a part of the kernels, in a folder of its own."""
-
-
-def attack_builds(folder: Path, rng: random.Random) -> Faults:
-    """Builds of the kernels, two at once and killed: the manifest names whole files only, and the next build works."""
-    from adaptrack.core import library
-
-    (folder / "build.py").write_text(textwrap.dedent(_BUILD))
-    command, built = [sys.executable, "build.py"], folder / "built"
-    begun = time.monotonic()
-    fault = execute(command, folder).fault((0,))
-    whole = time.monotonic() - begun
-    yield fault
-
-    def check() -> str:
-        try:
-            entries = library.json.loads((built / library.MANIFEST).read_text())["libraries"].values()
-            return "" if [library.whole(entry, built) for entry in entries] else "wrong: no library"
-        except library.UNUSABLE as error:
-            return f"wrong: {error}"
-
-    for _ in range(3):
-        shutil.rmtree(built, ignore_errors=True)
-        with ThreadPoolExecutor(2) as pool:
-            first = pool.submit(execute, command, folder)
-            time.sleep(rng.uniform(0.0, 0.5) * whole)
-            ends = pool.submit(execute, command, folder).result(), first.result()
-        yield next(filter(None, (ended.fault((0,)) for ended in ends)), check())
-    for _ in range(6):
-        shutil.rmtree(built, ignore_errors=True)
-        execute(command, folder, signal.SIGKILL, rng.uniform(0.2, 1.0) * whole)
-        yield check() if (built / library.MANIFEST).exists() else ""
-    yield execute(command, folder).fault((0,)) or check()
 
 
 ATTACKS: dict[str, Callable[[Path, random.Random], Faults]] = {
