@@ -72,14 +72,9 @@ def measurements(noise: float = 1.0) -> Inputs:
 
 def answer_row(answer: Any) -> list[float]:
     """All numbers of a command."""
-    said = answer.diagnostics
-    return [
-        answer.angle,
-        answer.move,
-        answer.held,
-        *answer.tuning,
-        *(said.values() if isinstance(said, dict) else said),
-    ]
+    diagnostics = answer.diagnostics
+    values = diagnostics.values() if isinstance(diagnostics, dict) else diagnostics
+    return [answer.angle, answer.move, answer.held, *answer.tuning, *values]
 
 
 def commands(
@@ -91,7 +86,7 @@ def commands(
     width: how many of the sensors it is given; variables, road: of each step; noise: as for `measurements`; disturbed:
     now and then the command applied was another, or the path changed; anew: after so many steps it is reset.
     """
-    given, rows = measurements(noise), []
+    inputs, rows = measurements(noise), []
     for k in range(STEPS):
         if k % anew == anew - 1:
             controller.reset()
@@ -103,11 +98,8 @@ def commands(
         if variables is not None:
             more["variables"] = variables[k]
         try:
-            rows.append(
-                answer_row(
-                    controller.step(given.states[k, :width], float(given.speeds[k]), given.references[k], **more)
-                )
-            )
+            command = controller.step(inputs.states[k, :width], float(inputs.speeds[k]), inputs.references[k], **more)
+            rows.append(answer_row(command))
         except at.InvalidInput:
             rows.append([])
     size = max(map(len, rows))
@@ -347,7 +339,6 @@ def scheduled_mpc(at: Any) -> Named:
     rows = rng.uniform((2.0, -8.0, 0.2, -35.0, -4.0, -6.0, -3.0), (32.0, 8.0, 1.1, 35.0, 4.0, 6.0, 3.0), (STEPS, 7))
     rows[rng.random(rows.shape) < 0.005] = math.nan
     looked = [at.SchedulingVariables(*row) for row in rows.tolist()]
-    yield "variables", rows
     car = paper(at)
     for name in at.list_schedulers():
         schedule = at.load_scheduler(name)
@@ -417,7 +408,6 @@ def trackers(at: Any) -> Named:
     rows[hit] = rng.choice(HOSTILE, int(hit.sum()))
     late = np.where(rng.random(STEPS) < 0.3, rng.uniform(0.0, 0.2, STEPS), 0.0)
     repeated = rng.random(STEPS) < 0.02
-    yield "given", np.column_stack([t, rows, late, repeated])
     makers: dict[str, Callable[[], Any]] = {
         "informed": lambda: at.MPC(car, profile="road"), "learning": lambda: at.MPC(car, learning=at.Learning()),
         "published": lambda: at.published_mpc(car, period=0.05), "lqr": lambda: at.LQR(car, period=0.05),
@@ -484,46 +474,36 @@ def drivers(at: Any, profile: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def both_ways(at: Any, name: str, plant: Any, controller: Any, drive: Any, **options: Any) -> Named:
+    """The traces of a drive from Python and compiled."""
+    yield f"{name}, from Python", trace(at.simulate(plant, controller, drive, **options))
+    yield f"{name}, compiled", trace(at.rollout(plant, controller, drive, **options))
+
+
 def straight_runs(at: Any) -> Named:
     """Whole traces of lane changes and random drives, in three profiles, from Python and compiled."""
     plant = at.DualTrack(paper(at), "magic-formula")
     for profile in ("paper", "road", "production"):
         for name, controller in drivers(at, profile).items():
-            yield (
-                f"{profile}, {name}, from Python",
-                trace(at.simulate(plant, controller, lane_change(at), profile=profile, seed=3)),
-            )
-            yield (
-                f"{profile}, {name}, compiled",
-                trace(at.rollout(plant, controller, lane_change(at), profile=profile, seed=3)),
-            )
+            yield from both_ways(at, f"{profile}, {name}", plant, controller, lane_change(at), profile=profile, seed=3)
         mpc, drive = at.MPC(paper(at), profile=profile), at.random_drive(9_500_001, 30.0)
         yield f"{profile}, random drive", trace(at.rollout(plant, mpc, drive, profile=profile, seed=5))
-        yield f"{profile}, with a driver", trace(at.rollout(plant, mpc, drive, profile=profile, driver=at.Driver()))
-        yield (
-            f"{profile}, with a driver, from Python",
-            trace(at.simulate(plant, mpc, lane_change(at), profile=profile, driver=at.Driver())),
+        yield from both_ways(
+            at, f"{profile}, with a driver", plant, mpc, lane_change(at), profile=profile, driver=at.Driver()
         )
         lost = lane_change(at, amplitude=8.0, speed=28.0, friction=0.2)
         yield f"{profile}, lost", trace(at.rollout(at.SingleTrack(paper(at)), mpc, lost, profile=profile, seed=7))
 
 
 def road_runs(at: Any) -> Named:
-    """Whole traces along roads, in three profiles."""
+    """Whole traces along roads, in three profiles, from Python and compiled."""
     plant = at.DualTrack(paper(at), "magic-formula")
     for profile in ("paper", "road", "production"):
         for where, road, laps in (("elements", own_road(at), 1), ("ring", ring(at), 2)):
             drive = at.RoadDrive(road, at.plan_speed(road, paper(at), top_speed=14.0), laps=laps, wind=5.0)
             for name, controller in drivers(at, profile).items():
-                yield (
-                    f"{profile}, {name} on {where}, compiled",
-                    trace(at.rollout(plant, controller, drive, profile=profile, seed=3)),
-                )
-                if name in ("informed", "lqr", "published", "kinematic mpc") and where == "elements":
-                    yield (
-                        f"{profile}, {name} on {where}, from Python",
-                        trace(at.simulate(plant, controller, drive, profile=profile, seed=3)),
-                    )
+                options = {"profile": profile, "seed": 3}
+                yield from both_ways(at, f"{profile}, {name} on {where}", plant, controller, drive, **options)
 
 
 def runs_of_others(at: Any) -> Named:
@@ -535,19 +515,10 @@ def runs_of_others(at: Any) -> Named:
         "plant": (users_plant(at), informed), "law": (at.DualTrack(car), users_law(at)),
         "model": (at.DualTrack(car), at.MPC(car, tuning, model=users_model(at), preview=True)),
         "estimator": (at.SingleTrack(car), at.MPC(car, tuning, estimator=users_estimator(at), period=0.05)),
-        "solver": (at.SingleTrack(car), at.MPC(car, profile="road", solver=users_solver())),
         **{plant_name(plant): (plant, informed) for plant in plants(at)[:-1]},
     }  # fmt: skip
     for name, (plant, controller) in cases.items():
-        yield f"{name}, from Python", trace(at.simulate(plant, controller, lane_change(at), profile="road", seed=2))
-        if name != "solver":
-            yield f"{name}, compiled", trace(at.rollout(plant, controller, lane_change(at), profile="road", seed=2))
-    for number in range(6):  # their steering is late by shares of a control period
-        own = at.random_car(number, profile="production" if number % 2 else "road")
-        plant, mpc = at.DualTrack(own.vehicle, own.tyre), at.MPC(own.vehicle, profile=own.profile)
-        for how, drive in (("from Python", at.simulate), ("compiled", at.rollout)):
-            run = drive(plant, mpc, lane_change(at), profile=own.profile, seed=2)
-            yield f"random car {number}, {how}", trace(run)
+        yield from both_ways(at, name, plant, controller, lane_change(at), profile="road", seed=2)
 
 
 def batches(at: Any) -> Named:
@@ -561,14 +532,9 @@ def batches(at: Any) -> Named:
     tunings = np.column_stack(
         [rng.integers(1, 56, 400), rng.integers(1, 19, 400), draw(0.1, 10.0, 400), draw(0.001, 0.1, 400)]
     )
-    yield "given", np.column_stack([tunings, which])
-    yield "published", numbers(at.rollout_batch(plant, at.published_mpc(car), steps, tunings, which=which))
-    yield (
-        "hildreth",
-        numbers(
-            at.rollout_batch(plant, at.published_mpc(car, solver="hildreth"), steps, tunings, which=which, threads=1)
-        ),
-    )
+    for solver in ("active-set", "hildreth"):
+        mpc = at.published_mpc(car, solver=solver)
+        yield f"published, {solver}", numbers(at.rollout_batch(plant, mpc, steps, tunings, which=which))
     changes = [lane_change(at, amplitude=draw(-7, 7), speed=draw(4, 27), friction=draw(0.3, 1.0)) for _ in range(40)]
     roads = [at.RoadDrive(own_road(at), 12.0), *(at.RoadDrive(ring(at), speed) for speed in (9.0, 15.0)), *changes[:3]]
     seeds = np.arange(40)
@@ -579,33 +545,23 @@ def batches(at: Any) -> Named:
             found = at.rollout_batch(plant, controller, roads, profile=profile, seeds=1, threads=2)
             yield f"{profile}, {name} on roads", numbers(found)
     scheduled = at.published_mpc(car, scheduler=at.load_scheduler("road-nn"), period=0.05, preview=True)
-    for name, known in {
+    known_as = {
         "exactly": None, "estimated": at.FrictionWindEstimator.of(plant, "road"),
         "with errors": at.Perception(noise=0.2, bias=0.1, delay=0.5), "not": at.Perception(withheld=True),
-    }.items():  # fmt: skip
-        yield (
-            f"friction known {name}",
-            numbers(
-                at.rollout_batch(plant, scheduled, changes, which=seeds, profile="road", seeds=seeds, known_as=known)
-            ),
-        )
-        yield (
-            f"friction known {name}, from Python",
-            trace(at.simulate(plant, scheduled, changes[0], profile="road", seed=4, known_as=known)),
-        )
+    }  # fmt: skip
+    options = {"which": seeds, "profile": "road", "seeds": seeds}
+    for name, known in known_as.items():
+        batch = at.rollout_batch(plant, scheduled, changes, known_as=known, **options)
+        yield f"friction known {name}", numbers(batch)
+        run = at.simulate(plant, scheduled, changes[0], profile="road", seed=4, known_as=known)
+        yield f"friction known {name}, from Python", trace(run)
     for name, (driven, controller) in {
         "user's plant": (users_plant(at), at.MPC(car, profile="road")), "user's law": (plant, users_law(at)),
         "user's model": (plant, at.MPC(car, model=users_model(at))),
     }.items():  # fmt: skip
-        yield name, numbers(at.rollout_batch(driven, controller, changes[:8], which=np.arange(8), profile="road"))
-    yield (
-        "with a driver",
-        numbers(
-            at.rollout_batch(
-                plant, at.MPC(car, profile="road"), changes, which=seeds, profile="road", driver=at.Driver()
-            )
-        ),
-    )
+        yield name, numbers(at.rollout_batch(driven, controller, changes, **options))
+    batch = at.rollout_batch(plant, at.MPC(car, profile="road"), changes, driver=at.Driver(), **options)
+    yield "with a driver", numbers(batch)
 
 
 # -- roads, models, quadratic programmes ------------------------------------------------------------------------------
@@ -619,7 +575,6 @@ def road_geometry(at: Any) -> Named:
         yield f"{name}: points", np.column_stack([s, *points])
         spread = rng.normal(size=(len(s), 2)) * np.where(rng.random((len(s), 1)) < 0.8, 2.0, 40.0)
         x, y = points.x + spread[:, 0], points.y + spread[:, 1]
-        yield f"{name}: given points", np.column_stack([x, y])
         yield f"{name}: feet", np.column_stack(road.project(x, y))
         yield f"{name}: feet near", np.column_stack(road.project(x, y, s + rng.normal(size=len(s))))
         yield f"{name}: far feet", np.column_stack(road.project(1e3 * x, 1e3 * y))
@@ -637,10 +592,6 @@ def quadratic_programmes(at: Any) -> Named:
     from adaptrack.control.qp.hildreth import Hildreth
 
     problems = chunk(0)
-    yield (
-        "problems",
-        np.concatenate([np.ravel(each) for p in problems for each in (p.qp.E, p.qp.K, p.qp.M, p.qp.gamma)]),
-    )
     solvers = {
         "active set": ActiveSet(), "active set, 3 changes": ActiveSet(3), "hildreth": Hildreth(),
         "hildreth, long": Hildreth(2000, 1e-14, "hold"), "hildreth, applied": Hildreth(5, 1e-7, "apply"),
