@@ -29,7 +29,29 @@ REPEATED = 5
 MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 """around the table in a page"""
 
-CEILINGS: Mapping[str, int] = {}
+CEILINGS: Mapping[str, int] = {
+    "base": 1947,
+    "core": 20680,
+    "cars": 2248,
+    "road": 4744,
+    "scenario": 2010,
+    "control": 7654,
+    "drive": 2495,
+    "analysis": 1717,
+    "identification": 3476,
+    "tuning": 3230,
+    "learning": 3139,
+    "comparison": 2235,
+    "studies": 2093,
+    "export": 3097,
+    "gym": 1076,
+    "results": 7591,
+    "cli": 4382,
+    "adaptrack": 535,
+    "JavaScript, templates, C": 9501,
+    "tests": 42341,
+    "benchmarks, tools, experiments, examples": 9500,
+}
 """Lines that a room may have, JavaScript, templates and C, the tests, and `PROGRAMS` together. `tests/test_ceilings.py`
 holds them; raising one is a decision with a reason in docs/design.md."""
 

@@ -467,17 +467,6 @@ def test_a_file_that_is_no_scheduler_is_refused_with_a_reason(text, message, tmp
         load_scheduler(tmp_path / "one.json")
 
 
-def places(tree, path=()):
-    """The path to every entry of nested dictionaries and lists; of lists of numbers to the first alone."""
-    keys = tree
-    if isinstance(tree, list):
-        keys = range(len(tree) if tree and isinstance(tree[0], dict) else min(len(tree), 1))
-    for index in keys:
-        yield (*path, index)
-        if isinstance(tree[index], dict | list):
-            yield from places(tree[index], (*path, index))
-
-
 def test_every_scheduler_that_ships_keeps_the_contract():
     for name in list_schedulers():
         check_scheduler(load_scheduler(name))
