@@ -199,6 +199,7 @@ def test_with_a_known_car_and_centre_of_mass_the_lane_is_held_within_a_decimetre
     assert max(abs(each.offset) for each in told) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_the_log_identifies_the_car(recorded, tmp_path):
     """As it stands: lag and dead time are those of the steering behind the stand-in."""

@@ -370,3 +370,12 @@ def test_the_steering_turns_no_faster_than_its_rate_and_no_further_than_its_limi
     assert ride(car, moving(5.0), inputs(command=1.0), 3.0, h=0.01)[12] == pytest.approx(0.3, rel=1e-6)
     expected = reference.steering_speed(car.steering, 0.28, 0.31)
     assert slope(car, moving(5.0, x12=0.28), inputs(command=0.31))[12] == pytest.approx(expected, rel=1e-12)
+
+
+def test_only_the_wind_relative_to_the_car_counts(rng):
+    for yaw, speed, vy, east, north in rng.uniform([-3, 3, -2, -20, -20], [3, 40, 2, 20, 20], (50, 5)):
+        seen = reference.rotation(yaw).T @ [east, north]
+        turned = air(speed, (east, north), yaw, vy)
+        assert turned == pytest.approx(air(speed, tuple(seen), 0.0, vy), rel=1e-9, abs=1e-9)
+    still = air(15.0, tuple(reference.rotation(0.4) @ [15.0, 0.0]), yaw=0.4)
+    assert still == pytest.approx((0.0, 0.0), abs=1e-9)  # the air moves with the car

@@ -634,3 +634,28 @@ def _differing_on(target, name, way, place, compiler, emulator):
     found = np.fromfile(place / "answers").reshape(-1, 5)
     same = (found.view(np.int64) == expected.view(np.int64)) | (np.isnan(found) & np.isnan(expected))
     return int(np.sum(~same.all(axis=1)))
+
+
+def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
+    made = library_of("informed")
+    tracker, path = CTracker(made), made.path(POINTS)
+    tracker.follow(path, way[1])
+    assert tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])[0] == exported.OK
+    path.raw[:8] = 0.0
+    assert tracker.step([0.05, 0.05, 1.5, 0.0, 0.0, 10.0, 0.0])[0] == exported.BAD_PATH
+
+
+def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
+    made = library_of("informed")
+    assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
+        exported.TOO_SMALL, exported.TOO_SMALL
+    ]  # fmt: skip
+
+
+def test_a_path_of_more_points_than_the_header_says_is_refused(library_of):
+    export = library_of("informed")
+    header = (export.folder / "include" / "adaptrack_config.h").read_text()
+    assert "#define ADAPTRACK_MOST_POINTS 100000 " in header
+    points = np.stack([np.arange(100_001.0), np.zeros(100_001)], axis=-1)
+    path = CPath(export.c, points, more=1000)
+    assert (path.error, path.flaw.value) == (exported.BAD_PATH, 100_001)

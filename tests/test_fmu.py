@@ -398,3 +398,32 @@ def test_the_command_writes_both(folder, monkeypatch, capsys):
     again = at.export_fmu(PLANT, folder / "again.fmu", country(), profile="road")
     other = at.export_fmu(PLANT, folder / "other.fmu", country(), profile="road")
     assert again.read_bytes() == other.read_bytes()
+
+
+def test_in_a_parallel_exchange_the_cars_own_delay_is_a_period_shorter_to_the_bit(folder):
+    controller = at.MPC(CAR, profile="road", preview=True)
+    instance = Instance(car(folder, route=lane_change()), folder, seed=4, parallel_exchange=True)
+    assert differing(instance, PLANT, controller, lane_change(), "road", None, 4, late=1) == 0
+
+
+def test_instances_share_nothing(folder):
+    alone = Instance(car(folder), folder, "alone", seed=3)
+    apart = [Instance(car(folder), folder, str(seed), seed=seed) for seed in (3, 4)]
+    for k in range(30):
+        alone.step(command=0.01 * k)
+    for k in range(30):
+        for i, each in enumerate(apart):
+            each.step(command=0.01 * k * (-1) ** i)
+    assert same(alone.get(*TRUE, *MEASURED), apart[0].get(*TRUE, *MEASURED))
+    assert apart[1].get("y") == pytest.approx(-alone.get("y"))
+
+
+def test_an_instance_that_is_reset_begins_anew(folder):
+    instance = Instance(car(folder), folder, seed=3)
+    first = instance.get(*TRUE, *MEASURED)
+    for _ in range(10):
+        instance.step(command=0.1)
+    instance.fmu.terminate()
+    instance.fmu.reset()
+    instance.begin(seed=3)
+    assert same(first, instance.get(*TRUE, *MEASURED))

@@ -120,14 +120,6 @@ def test_a_sample_of_an_absurd_age_is_left_out():
         assert np.isfinite(told.learned).all()
 
 
-@compiled
-def test_a_standing_car_gets_no_command_beyond_the_limits():
-    mpc = MPC(CAR, profile="road")
-    mpc.step(GOOD, 15.0, REFERENCE)
-    mpc.applied(1.5)
-    assert mpc.step(GOOD, 0.0, REFERENCE).angle == mpc.limits.angle[1]
-
-
 @pytest.mark.parametrize("angle", [2.0, -1e300, math.nan])
 def test_no_wheel_has_such_an_angle(angle):
     with pytest.raises(InvalidInput, match="applied: angle"):
@@ -158,14 +150,6 @@ def test_what_no_car_can_have_counts_as_not_measured(absurd):
         assert all(math.isfinite(each.command) for each in told)
         if "now" not in absurd:
             assert told[-1].status is Status.OK
-
-
-def test_an_engagement_that_is_refused_changes_nothing():
-    tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
-    commands = [called(tracker, 0.05 * k, 0.5 * k).command for k in range(3)]
-    with pytest.raises(InvalidInput, match="must be a finite number"):
-        tracker.engage(math.nan)
-    assert tracker.controller.angle == commands[-1]
 
 
 def test_a_path_too_far_away_to_compare_begins_the_tracker_anew():

@@ -319,3 +319,11 @@ def test_a_setup_that_cannot_be_driven_gives_a_sentence(shown, file, more):
     shown.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(more)}}}).catch(() => 0)")
     assert re.match(r".*\w{3,} .*\w{3,}.*\.$", shown.run(f"{STATE}.notice"))
     assert shown.run("adaptrackPage.advance(5)") == 5
+
+
+def test_who_wants_no_motion_gets_steps(file):
+    with Chromium(media=Media(still=True)) as page:
+        page.open(file.as_uri())
+        page.wait(READY)
+        assert not page.run(f"{STATE}.playing")
+        assert page.run("adaptrackPage.page.clock.reduced")

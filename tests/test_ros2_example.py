@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import sys
 from functools import partial
@@ -462,3 +463,31 @@ def test_the_two_nodes_drive_each_other(monkeypatch):
     assert len(network.sent["drive"]) == before
     for each in made:
         monkeypatch.delitem(sys.modules, each.__name__)
+
+
+def test_nothing_moves_before_there_is_a_path_and_an_odometry(Follower):
+    made = Follower()
+    assert made.tick(0.0).stopping == "no path yet"
+    made.path(path(STRAIGHT))
+    command = made.tick(0.05)
+    assert (command.speed, command.stopping) == (0.0, "no odometry yet")
+    assert made.diagnosis(0.05)[0] == follower.ERROR
+
+
+def test_a_path_in_another_frame_stops_the_car(driving):
+    driving.path(path(STRAIGHT + 1.0, frame="odom"))
+    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    assert driving.tick(0.05).stopping == "the path is in frame 'odom', the odometry in 'map'"
+
+
+def test_the_cpp_node_has_parameters_of_the_file_with_their_defaults():
+    yaml = pytest.importorskip("yaml")
+    held = yaml.safe_load((PACKAGE / "config" / "follower.yaml").read_text())["adaptrack_follower"]["ros__parameters"]
+    node = (CPP / "src" / "follower_node.cpp").read_text()
+    header = (CPP / "include" / "adaptrack_ros_cpp" / "follower.hpp").read_text()
+    header = header[header.index("struct Parameters") : header.index("struct Sample")]
+    declared = set(re.findall(r'declare_parameter\("(\w+)"', node))
+    assert declared - held.keys() == {"constants"}
+    assert held.keys() - declared == {"vehicle", "profile", "command_delay", "oldest_sample"}  # of the export
+    for name, value in re.findall(r"^    [\w:]+ (\w+) = (.+?);", header, re.MULTILINE):
+        assert yaml.safe_load(value) == held[name], name

@@ -13,21 +13,17 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
-from adaptrack.control.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
+from adaptrack.control.scheduling import Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core import loop
 from adaptrack.core.controllers.mpc import ANSWER
 from adaptrack.core.plants.contract import STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
-from adaptrack.drive.metrics import PUBLISHED
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import (
-    PERCEPTIONS,
     operating_point_runs,
-    paper_test_runs,
-    perception,
     random_drive_runs,
 )
 from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
@@ -138,15 +134,6 @@ def test_costs_do_not_depend_on_how_runs_are_batched(monkeypatch, rng):
 
 
 @pytest.mark.compiled
-def test_a_tuning_costs_the_same_however_it_is_given_and_leaves_nothing_behind():
-    runs = run_set()
-    schedule = Constant(START)
-    expected = runs.drive(START, [3])
-    for policy in (schedule, START.as_array(), [29, 5, 1.0, 4000.0], np.tile(START.as_array(), (len(runs), 1)), START):
-        np.testing.assert_array_equal(runs.drive(policy, [3]), expected)
-
-
-@pytest.mark.compiled
 def test_the_scheduling_variables_of_a_run_set_are_what_the_scheduler_sees():
     scenario = random_drive(11, 6.0)
     seen = []
@@ -219,18 +206,6 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     assert abs(np.corrcoef(*errors)[0, 1]) < 0.03
 
 
-def test_what_is_known_depends_on_its_seed_alone():
-    one, again, other = (Perception(noise=0.1).known(FRICTION, WIND, 0.05, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, again)
-    assert (one[0] != other[0]).all()
-    assert (one[1] != other[1]).all()
-
-
-def test_friction_that_is_known_is_always_positive():
-    friction, _ = Perception(noise=3.0).known(np.full(500, 0.5), np.zeros(500), 0.05, 0)
-    assert friction.min() == 0.01
-
-
 @pytest.mark.parametrize(
     "wrong",
     [{"noise": -0.1}, {"delay": -1.0}, {"bias": math.nan}, {"nominal_friction": -0.5}, {"noise": math.inf}],
@@ -271,11 +246,6 @@ def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_
     np.testing.assert_array_equal(batch.samples[:, felt], plain.samples[:, felt])
 
 
-def test_equal_roads_are_not_known_with_equal_errors():
-    known = run_set([random_drive(3, 2.0)] * 2, known_as=Perception(noise=0.1)).variables[..., 2:4]
-    assert (known[0] != known[1]).all()
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(plant):
@@ -303,16 +273,6 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(load_profile("road").period).friction.mean(axis=1)
     assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"
-
-
-@pytest.mark.compiled
-def test_the_runs_of_a_batch_have_estimators_of_their_own():
-    scenarios = [random_drive(seed, 3.0) for seed in range(6, 10)]
-    known = FrictionWindEstimator.of(SingleTrack(CAR))
-    together = run_set(scenarios, known_as=known).drive(by_friction(), [1])
-    alone = [run_set([each], known_as=known).drive(by_friction(), [1])[0] for each in scenarios]
-    np.testing.assert_array_equal(together, alone)
-    assert (together != run_set(scenarios).drive(by_friction(), [1])).all()
 
 
 # -- who may drive ----------------------------------------------------------------------------------------------------
@@ -394,17 +354,3 @@ def test_operating_points_are_lane_changes_in_a_gust_and_drives_have_segments_of
 def test_rows_that_are_no_operating_points_are_refused(points):
     with pytest.raises(InvalidInput, match="operating points"):
         operating_point_runs(SingleTrack(CAR), controller(), points)
-
-
-def test_only_the_papers_tests_are_its_tests():
-    assert len(paper_test_runs(SingleTrack(CAR), controller(), next(iter(PUBLISHED)))) == 1
-    with pytest.raises(InvalidInput, match="must be one of"):
-        paper_test_runs(SingleTrack(CAR), controller(), "sine")
-
-
-def test_ways_of_knowing_have_names():
-    assert perception("exact", SingleTrack(CAR)) is None
-    assert isinstance(perception("estimated", SingleTrack(CAR)), FrictionWindEstimator)
-    assert all(perception(name, SingleTrack(CAR)) is PERCEPTIONS[name] for name in PERCEPTIONS)
-    with pytest.raises(InvalidInput, match=r"'nosy'.*noisy"):
-        perception("nosy", SingleTrack(CAR))

@@ -598,3 +598,9 @@ def test_a_batch_refuses_what_does_not_fit(arguments):
 def test_a_users_plant_refuses_an_impossible_powertrain(mass, power):
     with pytest.raises((InvalidInput, ContractError)):
         UserPlant(bicycle, {}, mass=mass, engine_power=power)
+
+
+def test_a_run_starts_where_the_scenario_says():
+    scenario = straight_then(start_y=0.4, start_heading=0.05, speed=12.0, duration=0.3)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR), scenario)
+    assert (run.X[0], run.Y[0], run.psi[0], run.vx[0]) == (0.0, 0.4, 0.05, 12.0)

@@ -290,3 +290,8 @@ def test_provenance_names_the_software_and_takes_the_callers_clock():
         "",
     ]
     assert "step, standard" in repr(run)
+
+
+def test_a_window_of_280_periods_is_not_lost_to_rounding():
+    long = record(n=460)
+    assert len(long.between(0.0, 28.0)) == 280
