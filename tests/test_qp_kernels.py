@@ -81,14 +81,14 @@ def test_at_a_condition_of_8e11_the_solution_is_exact_to_rounding():
 @pytest.mark.compiled
 def test_the_first_move_is_within_1e_6_rad_of_the_exact_one_on_hard_mpc_problems(rng):
     limited = 0
-    for _ in range(1500):
+    for _ in range(400):
         qp = QP(*drawn_mpc_problem(rng))
         status, x, lam, _ = solve(qp)
         reference = reference_solve(qp.E, qp.K, qp.M, qp.gamma, np.flatnonzero(lam > 0.0))
         assert status is QPStatus.SOLVED
         assert abs(x[0] - reference.x[0]) <= max(1e-6, reference.bound)
         limited += len(reference.active) > 0
-    assert limited > 1000
+    assert limited > 250
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), m=st.integers(0, 20))
