@@ -65,6 +65,7 @@ def test_what_has_no_solution_is_a_status_and_nothing_to_steer_by(name):
     for qp in (CONTRADICTION, QP(E, K, np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([-1.0, 1.0]))):
         assert solver.solve(qp).status in (QPStatus.INFEASIBLE, QPStatus.CAPPED)
         assert not solver.solve(qp).usable
+    assert solver.solve(CONTRADICTION).iterations > 0
     assert not solver.solve(QP(np.array([[1.0, 2.0], [2.0, 1.0]]), K, M, gamma)).solved
     for entry in range(4):
         arrays = [array.copy() for array in (E, K, M, gamma)]
