@@ -23,6 +23,7 @@ from adaptrack.gym import (  # noqa: E402
     PathTrackingVectorEnv,
 )
 from adaptrack.gym.spaces import make_mpc  # noqa: E402
+from foreign_loop import example  # noqa: E402
 
 SHORT = {"road": "country:3", "length": 100.0}
 STEP = at.load_scenario("step").replace(duration=4.0)
@@ -281,3 +282,15 @@ def test_stepping_before_reset_is_refused():
     for env in (PathTrackingEnv(road=STEP), PathTrackingVectorEnv(2, road=STEP)):
         with pytest.raises(gymnasium.error.ResetNeeded):
             env.step(np.zeros(env.action_space.shape))
+
+
+@pytest.mark.compiled
+def test_a_few_generations_of_the_example_steer_better_than_nobody(capsys):
+    pytest.importorskip("cma", reason="needs cma: pip install 'adaptrack[bench]'")
+    learning = example("gym_learn_to_steer")
+    nobody = np.exp(np.log(learning.costs(learning.JUDGED, np.zeros(len(learning.SCALE)), seed=7)).mean())
+    assert learning.main(generations=3) < 0.1 * nobody
+    assert [line.split("J =")[0].strip() for line in capsys.readouterr().out.splitlines()[-2:]] == [
+        "pure-pursuit",
+        "informed",
+    ]
