@@ -49,7 +49,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 4382,
     "adaptrack": 535,
     "JavaScript, templates, C": 9501,
-    "tests": 42341,
+    "tests": 42111,
     "benchmarks, tools, experiments, examples": 9500,
 }
 """Lines that a room may have, JavaScript, templates and C, the tests, and `PROGRAMS` together. `tests/test_ceilings.py`
