@@ -92,7 +92,7 @@ bench: install ## time one control step and the compiled batch of runs
 	$(BIN)/python -m tools.bench step --json
 	$(BIN)/python -m tools.bench rollout --json
 
-install-extras: install requirements-extras.lock ## install also what others bring: CommonRoad's roads and cars, Gymnasium, the peers of the benchmarks
+install-extras: install requirements-extras.lock ## install also what others bring: CommonRoad's roads and cars, Gymnasium
 	$(PIP) install --no-deps --only-binary :all: --require-hashes -r requirements-extras.lock
 
 COMPILE := $(BIN)/uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes --upgrade \

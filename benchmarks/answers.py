@@ -1,32 +1,16 @@
-"""Every number that the compiled parts of a checkout give on fixed work, and whether another one gives the same bits.
+"""Arrays that the kernels of a checkout give on fixed work: the workloads of `against_release.py`.
 
-    python benchmarks/answers.py CHECKOUT --out FILE.npz [--only NAME ...]
-    python benchmarks/answers.py CHECKOUT --against FILE.npz [--only NAME ...]
-    python benchmarks/answers.py CHECKOUT --coverage
+    python benchmarks/answers.py --record FILE.npz NAME ...
 
-The workloads are the functions in `WORKLOADS`. Each is independent and seeded, calls public functions only, and gives
-arrays under the names of what they say; what it was given is among them, so that answers differ for one reason only.
-`--against` compares to the bit: any NaN equals any NaN, 0 and -0 differ. It ends with status 1 where something differs
-or is missing. What needs a package that is not there (gymnasium) is skipped and said; PYTHONPATH is handed on.
-
-`--coverage` says which kernels have not been compiled when all is done, and so were never used: beginning with an empty
-cache, for code from a cache brings along what it calls.
+Each workload is seeded, independent of the others, calls public functions only and gives arrays by name.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import math
-import os
-import pkgutil
-import subprocess
-import sys
-import tempfile
-import time
-import traceback
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,14 +24,8 @@ STEPS = 2_000
 """of a controller"""
 AHEAD = 80
 """instants of the reference that it sees"""
-FAILED = 3
-"""Status where a workload failed."""
 HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e160, 1e9, -3e4, 5e-324, -0.0)
 """What a broken sensor may say."""
-
-
-class Skipped(Exception):
-    """A workload needs what is not there."""
 
 
 # -- what is given ----------------------------------------------------------------------------------------------------
@@ -56,8 +34,8 @@ def random(name: str) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(name.encode()))
 
 
-class Given(NamedTuple):
-    """What a controller is given, step by step."""
+class Inputs(NamedTuple):
+    """Inputs of a controller, step by step."""
 
     states: Array
     """(n, 9) as `MPC.step` takes them"""
@@ -68,7 +46,7 @@ class Given(NamedTuple):
 
 
 @cache
-def measurements(noise: float = 1.0) -> Given:
+def measurements(noise: float = 1.0) -> Inputs:
     """A car that weaves about its path, its samples noisy and at times late; in bursts missing, infinite or absurd.
 
     noise: factor on that of the sensors.
@@ -89,19 +67,14 @@ def measurements(noise: float = 1.0) -> Given:
             hit = rng.random(piece.shape) < share
             piece[hit] = rng.choice(HOSTILE, int(hit.sum()))
     speeds[1200:1220], speeds[1500:1505] = 0.0, -2.0
-    return Given(states, speeds, references)
+    return Inputs(states, speeds, references)
 
 
 def answer_row(answer: Any) -> list[float]:
     """All numbers of a command."""
-    said = answer.diagnostics
-    return [
-        answer.angle,
-        answer.move,
-        answer.held,
-        *answer.tuning,
-        *(said.values() if isinstance(said, dict) else said),
-    ]
+    diagnostics = answer.diagnostics
+    values = diagnostics.values() if isinstance(diagnostics, dict) else diagnostics
+    return [answer.angle, answer.move, answer.held, *answer.tuning, *values]
 
 
 def commands(
@@ -113,7 +86,7 @@ def commands(
     width: how many of the sensors it is given; variables, road: of each step; noise: as for `measurements`; disturbed:
     now and then the command applied was another, or the path changed; anew: after so many steps it is reset.
     """
-    given, rows = measurements(noise), []
+    inputs, rows = measurements(noise), []
     for k in range(STEPS):
         if k % anew == anew - 1:
             controller.reset()
@@ -125,11 +98,8 @@ def commands(
         if variables is not None:
             more["variables"] = variables[k]
         try:
-            rows.append(
-                answer_row(
-                    controller.step(given.states[k, :width], float(given.speeds[k]), given.references[k], **more)
-                )
-            )
+            command = controller.step(inputs.states[k, :width], float(inputs.speeds[k]), inputs.references[k], **more)
+            rows.append(answer_row(command))
         except at.InvalidInput:
             rows.append([])
     size = max(map(len, rows))
@@ -277,13 +247,6 @@ def users_solver() -> Any:
 
 
 # -- controllers, step by step ----------------------------------------------------------------------------------------
-def given_to_controllers(at: Any) -> Named:
-    """What all controllers below are given."""
-    for noise in (1.0, 0.2, 0.05):
-        for name, values in measurements(noise)._asdict().items():
-            yield f"{name}, noise {noise:g}", values
-
-
 def qp_solvers() -> dict[str, Any]:
     """Every setting of our QP solvers."""
     from adaptrack.control.qp.active_set import ActiveSet
@@ -359,12 +322,8 @@ def informed_mpc(at: Any) -> Named:
 def learning_mpc(at: Any) -> Named:
     """The MPC that learns its car, and what it has learned."""
     car = paper(at)
-    variants: dict[str, Any] = {
-        "road": at.Learning(), "production": at.Learning(),
-        "many hypotheses": at.Learning(lags=4, dead_times=3), "one hypothesis": at.Learning(lags=1, dead_times=1),
-    }  # fmt: skip
-    for name, learning in variants.items():
-        mpc = at.MPC(car, profile="production" if name == "production" else "road", learning=learning)
+    for name in ("road", "production"):
+        mpc = at.MPC(car, profile=name, learning=at.Learning())
         yield name, commands(at, mpc, 9)
         learned = mpc.learned()
         yield f"{name}: learned", np.array([value for value in vars(learned).values() if isinstance(value, float)])
@@ -380,7 +339,6 @@ def scheduled_mpc(at: Any) -> Named:
     rows = rng.uniform((2.0, -8.0, 0.2, -35.0, -4.0, -6.0, -3.0), (32.0, 8.0, 1.1, 35.0, 4.0, 6.0, 3.0), (STEPS, 7))
     rows[rng.random(rows.shape) < 0.005] = math.nan
     looked = [at.SchedulingVariables(*row) for row in rows.tolist()]
-    yield "variables", rows
     car = paper(at)
     for name in at.list_schedulers():
         schedule = at.load_scheduler(name)
@@ -450,7 +408,6 @@ def trackers(at: Any) -> Named:
     rows[hit] = rng.choice(HOSTILE, int(hit.sum()))
     late = np.where(rng.random(STEPS) < 0.3, rng.uniform(0.0, 0.2, STEPS), 0.0)
     repeated = rng.random(STEPS) < 0.02
-    yield "given", np.column_stack([t, rows, late, repeated])
     makers: dict[str, Callable[[], Any]] = {
         "informed": lambda: at.MPC(car, profile="road"), "learning": lambda: at.MPC(car, learning=at.Learning()),
         "published": lambda: at.published_mpc(car, period=0.05), "lqr": lambda: at.LQR(car, period=0.05),
@@ -463,32 +420,6 @@ def trackers(at: Any) -> Named:
                 told = tracker.step(now - late[k], *rows[k].tolist(), lateral_velocity=0.01, now=now)
                 found.append([told.command, float(zlib.crc32(told.status.value.encode())), *told[2:]])
             yield f"{name} on {where}", np.array(found)
-
-
-def friction_estimator(at: Any) -> Named:
-    """What is found of friction and wind from signals."""
-    given, rng = measurements(), random("friction")
-    felt = rng.normal(size=STEPS)
-    felt[rng.random(STEPS) < 0.1] = math.nan
-    commanded = 0.05 * np.sin(0.1 * np.arange(STEPS))
-    yield "given", np.column_stack([felt, commanded])
-    for name, options in {"road": {}, "10 Hz, no delay": {"period": 0.1, "delay": False}}.items():
-        for car in ("paper", "van"):
-            estimator, found = at.FrictionWindEstimator(at.load_vehicle(car), **options), []
-            for k in range(STEPS):
-                pull = None if k % 5 == 4 else float(felt[k])
-                told = estimator.step(given.states[k, :4], float(given.speeds[k]), float(commanded[k]), pull)
-                found.append(list(told))
-            yield f"{car}, {name}", np.array(found)
-            yield f"{car}, {name}: covariance", estimator.covariance
-
-
-def compiled_steps(at: Any) -> Named:
-    """Random cases of MPCs and hostile inputs inside the kernels: how many claims they break (none)."""
-    from tools.fuzz.batch import search_compiled
-
-    found = search_compiled(60_000, 1)
-    yield "steps, broken claims", np.array([*found.steps.values(), len(found.failed)])
 
 
 # -- plants and closed loops ------------------------------------------------------------------------------------------
@@ -543,46 +474,36 @@ def drivers(at: Any, profile: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def both_ways(at: Any, name: str, plant: Any, controller: Any, drive: Any, **options: Any) -> Named:
+    """The traces of a drive from Python and compiled."""
+    yield f"{name}, from Python", trace(at.simulate(plant, controller, drive, **options))
+    yield f"{name}, compiled", trace(at.rollout(plant, controller, drive, **options))
+
+
 def straight_runs(at: Any) -> Named:
     """Whole traces of lane changes and random drives, in three profiles, from Python and compiled."""
     plant = at.DualTrack(paper(at), "magic-formula")
     for profile in ("paper", "road", "production"):
         for name, controller in drivers(at, profile).items():
-            yield (
-                f"{profile}, {name}, from Python",
-                trace(at.simulate(plant, controller, lane_change(at), profile=profile, seed=3)),
-            )
-            yield (
-                f"{profile}, {name}, compiled",
-                trace(at.rollout(plant, controller, lane_change(at), profile=profile, seed=3)),
-            )
+            yield from both_ways(at, f"{profile}, {name}", plant, controller, lane_change(at), profile=profile, seed=3)
         mpc, drive = at.MPC(paper(at), profile=profile), at.random_drive(9_500_001, 30.0)
         yield f"{profile}, random drive", trace(at.rollout(plant, mpc, drive, profile=profile, seed=5))
-        yield f"{profile}, with a driver", trace(at.rollout(plant, mpc, drive, profile=profile, driver=at.Driver()))
-        yield (
-            f"{profile}, with a driver, from Python",
-            trace(at.simulate(plant, mpc, lane_change(at), profile=profile, driver=at.Driver())),
+        yield from both_ways(
+            at, f"{profile}, with a driver", plant, mpc, lane_change(at), profile=profile, driver=at.Driver()
         )
         lost = lane_change(at, amplitude=8.0, speed=28.0, friction=0.2)
         yield f"{profile}, lost", trace(at.rollout(at.SingleTrack(paper(at)), mpc, lost, profile=profile, seed=7))
 
 
 def road_runs(at: Any) -> Named:
-    """Whole traces along roads, in three profiles."""
+    """Whole traces along roads, in three profiles, from Python and compiled."""
     plant = at.DualTrack(paper(at), "magic-formula")
     for profile in ("paper", "road", "production"):
         for where, road, laps in (("elements", own_road(at), 1), ("ring", ring(at), 2)):
             drive = at.RoadDrive(road, at.plan_speed(road, paper(at), top_speed=14.0), laps=laps, wind=5.0)
             for name, controller in drivers(at, profile).items():
-                yield (
-                    f"{profile}, {name} on {where}, compiled",
-                    trace(at.rollout(plant, controller, drive, profile=profile, seed=3)),
-                )
-                if name in ("informed", "lqr", "published", "kinematic mpc") and where == "elements":
-                    yield (
-                        f"{profile}, {name} on {where}, from Python",
-                        trace(at.simulate(plant, controller, drive, profile=profile, seed=3)),
-                    )
+                options = {"profile": profile, "seed": 3}
+                yield from both_ways(at, f"{profile}, {name} on {where}", plant, controller, drive, **options)
 
 
 def runs_of_others(at: Any) -> Named:
@@ -594,19 +515,10 @@ def runs_of_others(at: Any) -> Named:
         "plant": (users_plant(at), informed), "law": (at.DualTrack(car), users_law(at)),
         "model": (at.DualTrack(car), at.MPC(car, tuning, model=users_model(at), preview=True)),
         "estimator": (at.SingleTrack(car), at.MPC(car, tuning, estimator=users_estimator(at), period=0.05)),
-        "solver": (at.SingleTrack(car), at.MPC(car, profile="road", solver=users_solver())),
         **{plant_name(plant): (plant, informed) for plant in plants(at)[:-1]},
     }  # fmt: skip
     for name, (plant, controller) in cases.items():
-        yield f"{name}, from Python", trace(at.simulate(plant, controller, lane_change(at), profile="road", seed=2))
-        if name != "solver":
-            yield f"{name}, compiled", trace(at.rollout(plant, controller, lane_change(at), profile="road", seed=2))
-    for number in range(6):  # their steering is late by shares of a control period
-        own = at.random_car(number, profile="production" if number % 2 else "road")
-        plant, mpc = at.DualTrack(own.vehicle, own.tyre), at.MPC(own.vehicle, profile=own.profile)
-        for how, drive in (("from Python", at.simulate), ("compiled", at.rollout)):
-            run = drive(plant, mpc, lane_change(at), profile=own.profile, seed=2)
-            yield f"random car {number}, {how}", trace(run)
+        yield from both_ways(at, name, plant, controller, lane_change(at), profile="road", seed=2)
 
 
 def batches(at: Any) -> Named:
@@ -620,14 +532,9 @@ def batches(at: Any) -> Named:
     tunings = np.column_stack(
         [rng.integers(1, 56, 400), rng.integers(1, 19, 400), draw(0.1, 10.0, 400), draw(0.001, 0.1, 400)]
     )
-    yield "given", np.column_stack([tunings, which])
-    yield "published", numbers(at.rollout_batch(plant, at.published_mpc(car), steps, tunings, which=which))
-    yield (
-        "hildreth",
-        numbers(
-            at.rollout_batch(plant, at.published_mpc(car, solver="hildreth"), steps, tunings, which=which, threads=1)
-        ),
-    )
+    for solver in ("active-set", "hildreth"):
+        mpc = at.published_mpc(car, solver=solver)
+        yield f"published, {solver}", numbers(at.rollout_batch(plant, mpc, steps, tunings, which=which))
     changes = [lane_change(at, amplitude=draw(-7, 7), speed=draw(4, 27), friction=draw(0.3, 1.0)) for _ in range(40)]
     roads = [at.RoadDrive(own_road(at), 12.0), *(at.RoadDrive(ring(at), speed) for speed in (9.0, 15.0)), *changes[:3]]
     seeds = np.arange(40)
@@ -638,226 +545,23 @@ def batches(at: Any) -> Named:
             found = at.rollout_batch(plant, controller, roads, profile=profile, seeds=1, threads=2)
             yield f"{profile}, {name} on roads", numbers(found)
     scheduled = at.published_mpc(car, scheduler=at.load_scheduler("road-nn"), period=0.05, preview=True)
-    for name, known in {
+    known_as = {
         "exactly": None, "estimated": at.FrictionWindEstimator.of(plant, "road"),
         "with errors": at.Perception(noise=0.2, bias=0.1, delay=0.5), "not": at.Perception(withheld=True),
-    }.items():  # fmt: skip
-        yield (
-            f"friction known {name}",
-            numbers(
-                at.rollout_batch(plant, scheduled, changes, which=seeds, profile="road", seeds=seeds, known_as=known)
-            ),
-        )
-        yield (
-            f"friction known {name}, from Python",
-            trace(at.simulate(plant, scheduled, changes[0], profile="road", seed=4, known_as=known)),
-        )
+    }  # fmt: skip
+    options = {"which": seeds, "profile": "road", "seeds": seeds}
+    for name, known in known_as.items():
+        batch = at.rollout_batch(plant, scheduled, changes, known_as=known, **options)
+        yield f"friction known {name}", numbers(batch)
+        run = at.simulate(plant, scheduled, changes[0], profile="road", seed=4, known_as=known)
+        yield f"friction known {name}, from Python", trace(run)
     for name, (driven, controller) in {
         "user's plant": (users_plant(at), at.MPC(car, profile="road")), "user's law": (plant, users_law(at)),
         "user's model": (plant, at.MPC(car, model=users_model(at))),
     }.items():  # fmt: skip
-        yield name, numbers(at.rollout_batch(driven, controller, changes[:8], which=np.arange(8), profile="road"))
-    yield (
-        "with a driver",
-        numbers(
-            at.rollout_batch(
-                plant, at.MPC(car, profile="road"), changes, which=seeds, profile="road", driver=at.Driver()
-            )
-        ),
-    )
-
-
-def run_sets(at: Any) -> Named:
-    """Costs, costs of segments, counts and traces of policies on common runs, as evaluations drive them."""
-    from adaptrack.tuning.runs import RunSet
-
-    car = paper(at)
-    plant = at.DualTrack(car, "magic-formula")
-    drives = [at.random_drive(9_500_100 + k, 20.0) for k in range(6)]
-    runs = RunSet(plant, at.published_mpc(car, period=0.05, preview=True), drives, "road", segment=50, before=10)
-    guarded = at.load_scheduler("road-nn")
-    policies = {
-        "constant": at.Tuning(35, 8, 1.0, 3000.0), "network": guarded, "look-up": at.load_scheduler("road-look-up"),
-        "anfis": at.load_scheduler("road-anfis"), "informed": at.MPC(car, profile="road"),
-        "lqr": at.LQR(car, period=0.05),
-    }  # fmt: skip
-    for name, policy in policies.items():
-        yield f"{name}: costs", runs.costs(policy, (1, 2))
-        yield f"{name}: segments", runs.segments(policy, 1, np.arange(len(runs)))
-    yield "network: counts", np.array(list(runs.counts(guarded, 1).values()))
-    yield "network: traces", np.vstack([trace(each[0]) for each in runs.trajectories(guarded, (1,))])
-
-
-# -- tuning and learning ----------------------------------------------------------------------------------------------
-def swarms(at: Any) -> Named:
-    """Positions and costs of swarms on a known function; what their settings make of inertia and accelerations."""
-
-    def bowl(x: Array) -> Array:
-        return np.sum((x - 2.5) ** 2, axis=1)
-
-    spaces = {
-        "tunings": at.SearchSpace.tuning(),
-        "decades": at.SearchSpace(names=("a", "b"), low=(1e-3, -5.0), high=(1e3, 5.0), decades=("a",)),
-    }  # fmt: skip
-    for name, space in spaces.items():
-        for kind, settings in {
-            "improved": at.SwarmSettings(), "classic": at.SwarmSettings.classic(particles=70, generations=40),
-        }.items():  # fmt: skip
-            swarm, asked = at.Swarm(space, settings, seed=11, stream=3), []
-            while not swarm.done:
-                asked.append(swarm.ask())
-                swarm.tell(bowl(asked[-1]))
-            yield f"{name}, {kind}: positions", np.array(asked)
-            yield (
-                f"{name}, {kind}: state",
-                np.concatenate([np.ravel(each).astype(float) for each in swarm.state.values()]),
-            )
-            yield f"{name}, {kind}: schedule", settings.schedule()
-            yield f"{name}, {kind}: minimise", numbers(at.minimise(bowl, space, settings, seed=1))
-
-
-def tuning(at: Any) -> Named:
-    """The best constants that swarms find on operating points, and the cost of many tunings there."""
-    car, rng = paper(at), random("tuning")
-    plant = at.DualTrack(car, "magic-formula")
-    library = np.column_stack([rng.integers(1, 56, 100), rng.integers(1, 19, 100), *rng.uniform(0.1, 10.0, (2, 100))])
-    objectives = {
-        "paper": at.Objective(plant, at.published_mpc(car)),
-        "paper, single track": at.Objective(at.SingleTrack(car), at.published_mpc(car)),
-        "road": at.Objective(plant, at.MPC(car, profile="road"), "lane-change", "road", (1, 2)),
-        "user's plant": at.Objective(users_plant(at), at.published_mpc(car), duration=4.0),
-    }  # fmt: skip
-    points = np.array([[15.0, 3.0, 0.8, 0.0], [24.0, -6.0, 0.5, 20.0]])
-    yield "library", library
-    for name, objective in objectives.items():
-        for i, point in enumerate(points):
-            yield f"{name}, point {i}: costs", objective.costs(point, library)
-            found = objective.tune(point, at.SwarmSettings(particles=40, generations=8), 5, i)
-            yield f"{name}, point {i}: tuned", numbers(found)
-
-
-def schedules(at: Any) -> Named:
-    """Every kind of function and guard, asked for rows of scheduling variables within and beyond their domain."""
-    from adaptrack.control.scheduling import Network, StabilityMap, Sugeno, Table
-
-    rng, inputs = random("schedules"), ("speed", "y_ref", "friction", "wind")
-    domain = np.array([(3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)])
-    rows = rng.uniform((0.0, -20.0, 0.1, -50.0, -4.0, -6.0, -3.0), (45.0, 20.0, 1.3, 50.0, 4.0, 6.0, 3.0), (500, 7))
-    rows[rng.random(rows.shape) < 0.01] = math.nan
-    yield "variables", rows
-    calm = np.tile(np.array([15.0, 0.0, 0.7, 0.0, 0.0, 0.0, 0.0]), (500, 1))
-    calm += rng.normal(size=calm.shape) * (2.0, 2.0, 0.03, 5.0, 0.1, 0.5, 0.1)
-    met = np.where(rng.random((500, 1)) < 0.02, rows, calm)
-    yield "variables in an MPC", met
-    weights = tuple(rng.normal(size=size) / math.sqrt(size[0]) for size in ((4, 16), (16, 8), (8, 1)))
-    biases = rng.normal(size=16), rng.normal(size=8), np.full(1, 0.5 - weights[-1].sum() / 2.0)
-    centres = rng.uniform(domain[:, 0], domain[:, 1], (12, 4)).ravel()
-    widths = np.tile(0.3 * (domain[:, 1] - domain[:, 0]), 12)
-    fuzzy = Sugeno(
-        np.tile(np.arange(4), 12), rng.random(48) < 0.5, np.column_stack([widths, np.full(48, 1.5), centres]),
-        np.arange(48).reshape(12, 4), np.column_stack([rng.normal(size=(12, 4)) * 0.1, rng.uniform(2.0, 12.0, 12)]),
-        np.ones(12),
-    )  # fmt: skip
-    axes = {"speed": [3.0, 10.0, 20.0, 27.0], "friction": [0.5, 0.7, 0.9]}
-    nodes = np.stack(
-        [rng.integers(5, 50, (4, 3)), rng.integers(1, 6, (4, 3)), *rng.uniform(0.1, 9.0, (2, 4, 3))], axis=-1
-    )
-    learned = at.Learned(
-        {"Np": Network(domain[:, 0], domain[:, 1], weights, biases, 5.0, 50.0, relu=False), "Nc": fuzzy,
-         "Q": 1.0, "R": Network(domain[:, 0], domain[:, 1], weights, biases, 0.1, 5.0)},
-        inputs, domain,
-    )  # fmt: skip
-    margins = Table(
-        (np.array([3.0, 15.0, 30.0]), np.array([0.3, 1.0]), np.array([1.0, 60.0]), np.array([1.0, 20.0]),
-         np.array([-6.0, 6.0])), rng.uniform(0.65, 1.0, (3, 2, 2, 2, 2)),
-    )  # fmt: skip
-    made = {
-        "constant": at.Constant(at.Tuning()), "nearest": at.Lookup(axes, nodes, "nearest"),
-        "multilinear": at.Lookup(axes, nodes), "learned": learned,
-        "ratio": at.Learned({"Np": 30.0, "Nc": fuzzy, "log10_ratio": 1.5}, inputs, domain),
-        "guarded": at.Guarded(learned, at.Tuning(), offset_limit=0.3),
-        "guarded by a map": at.Guarded(learned, at.Tuning(), stability=StabilityMap(margins), hold=5),
-    }  # fmt: skip
-    for name, schedule in made.items():
-        yield name, schedule.batch(rows)
-        mpc = at.published_mpc(paper(at), scheduler=schedule)
-        yield f"{name}: in an MPC", commands(at, mpc, 4, [met[k % len(met)] for k in range(STEPS)], noise=0.05)
-        yield f"{name}: counts", np.array(list(mpc.scheduler_counts.values()))
-    for name in at.list_schedulers():
-        yield f"shipped {name}", at.load_scheduler(name).batch(rows)
-
-
-def episodes(at: Any) -> Named:
-    """What the environments of gymnasium show under random actions, one car and many."""
-    try:
-        import gymnasium  # noqa: F401
-    except ImportError:
-        raise Skipped("gymnasium is not installed") from None
-    from adaptrack.gym import MPCTuningEnv, PathTrackingEnv  # type: ignore[attr-defined]
-    from adaptrack.gym.vector import MPCTuningVectorEnv, PathTrackingVectorEnv
-
-    made: dict[str, tuple[Callable[[], Any], int]] = {
-        "steering": (lambda: PathTrackingEnv(length=200.0), 250),
-        "tuning": (lambda: MPCTuningEnv(length=200.0), 40),
-        "many steering": (lambda: PathTrackingVectorEnv(70, length=200.0, road=("country:1", "random-drive:3")), 250),
-        "many tuning": (lambda: MPCTuningVectorEnv(40, length=200.0), 40),
-        "many tuning, learning": (lambda: MPCTuningVectorEnv(6, controller="informed-learning", length=200.0), 20),
-        "many tuning, published": (lambda: MPCTuningVectorEnv(6, controller="as-written", length=200.0), 20),
-        "many steering random cars": (
-            lambda: PathTrackingVectorEnv(3, random_cars=True, length=200.0, profile="production"), 60
-        ),
-    }  # fmt: skip
-    for name, (make, steps) in made.items():
-        environment, rng = make(), random(name)
-        space = environment.action_space
-        seen, _ = environment.reset(seed=5)
-        found = [np.ravel(seen)]
-        for _ in range(steps):
-            middle, half = 0.5 * (space.low + space.high), 0.5 * (space.high - space.low)
-            action = middle + (0.05 if "steering" in name else 1.0) * half * rng.uniform(-1.0, 1.0, space.shape)
-            seen, reward, ended, cut, _ = environment.step(action)
-            found.append(np.concatenate([np.ravel(each).astype(float) for each in (seen, reward, ended, cut)]))
-            if "many" not in name and (ended or cut):
-                seen, _ = environment.reset()
-        yield f"{name}: first", found[0]
-        yield name, np.array(found[1:])
-        environment.close()
-
-
-def identification(at: Any) -> Named:
-    """The likelihood of a log at points around what is believed, and what it is found to say of the car."""
-    from adaptrack.identification.likelihood import Likelihood
-    from adaptrack.identification.log import log_of
-    from adaptrack.identification.quantities import QUANTITIES, beliefs_of
-
-    car, rng = paper(at), random("log")
-    run = at.rollout(
-        at.DualTrack(car, "magic-formula"),
-        at.MPC(car, profile="road"),
-        at.random_drive(9_500_200, 40.0),
-        profile="road",
-    )
-    n = len(run)
-    columns = {
-        "time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate + 0.005 * rng.normal(size=n),
-        "vy": run.vy + 0.05 * rng.normal(size=n), "yaw": run.psi + 0.005 * rng.normal(size=n), "wheel": run.steering,
-        "acceleration": run.lateral_acceleration + 0.1 * rng.normal(size=n),
-    }  # fmt: skip
-    yield "log", np.column_stack(list(columns.values()))
-    few = {name: columns[name] for name in ("time", "command", "speed", "yaw_rate")}
-    for name, given in {"all sensors": columns, "yaw rate only": few}.items():
-        likelihood = Likelihood(log_of({k: v.copy() for k, v in given.items()}, car.wheelbase), car, beliefs_of(car))
-        for k in range(4):
-            z = 0.5 * rng.normal(size=len(QUANTITIES)) * (k > 0)
-            yield f"{name}, point {k}: innovations and variances", np.concatenate(likelihood.innovations(z))
-            yield f"{name}, point {k}: objective", np.array(likelihood.objective(z))
-            yield f"{name}, point {k}: found", np.array(list(likelihood.found(z).values()))
-    told = at.identify(few, car)
-    yield (
-        "estimates",
-        np.array([[each.value, each.standard_error, each.low, each.high] for each in told.estimates.values()]),
-    )
-    yield "covariance", told.covariance
+        yield name, numbers(at.rollout_batch(driven, controller, changes, **options))
+    batch = at.rollout_batch(plant, at.MPC(car, profile="road"), changes, driver=at.Driver(), **options)
+    yield "with a driver", numbers(batch)
 
 
 # -- roads, models, quadratic programmes ------------------------------------------------------------------------------
@@ -871,7 +575,6 @@ def road_geometry(at: Any) -> Named:
         yield f"{name}: points", np.column_stack([s, *points])
         spread = rng.normal(size=(len(s), 2)) * np.where(rng.random((len(s), 1)) < 0.8, 2.0, 40.0)
         x, y = points.x + spread[:, 0], points.y + spread[:, 1]
-        yield f"{name}: given points", np.column_stack([x, y])
         yield f"{name}: feet", np.column_stack(road.project(x, y))
         yield f"{name}: feet near", np.column_stack(road.project(x, y, s + rng.normal(size=len(s))))
         yield f"{name}: far feet", np.column_stack(road.project(1e3 * x, 1e3 * y))
@@ -879,51 +582,6 @@ def road_geometry(at: Any) -> Named:
             ahead = at.RoadAhead(road, 40.0 * k - 30.0, rng.uniform(5.0, 25.0, 60))
             yield f"{name}: ahead {k}", ahead.bend(100, 12.0, 2.3, 0.05)
         yield f"{name}: plan", np.concatenate(at.plan_speed(road, paper(at)).motion(np.linspace(0.0, 20.0, 200)))
-
-
-def generated_roads(at: Any) -> Named:
-    """Generated roads, and one through points: made in Python, their feet compiled."""
-    made = {kind: at.generate_road(kind, seed=1, length=600.0) for kind in ("country", "mountain")}
-    angle = np.linspace(0.0, 6.0, 60)
-    through = at.road_through if hasattr(at, "road_through") else at.Road.through  # until 0.2.0
-    made["through points"] = through(np.column_stack([40.0 * angle, 10.0 * np.sin(angle)]))
-    for name, road in made.items():
-        s = np.linspace(0.0, road.length, 300)
-        points = road.at(s)
-        yield f"{name}: points", np.column_stack(points)
-        yield f"{name}: feet", np.column_stack(road.project(points.x + 1.0, points.y - 1.0))
-
-
-def models(at: Any) -> Named:
-    """Prediction models and Laguerre functions: matrices and responses over speeds."""
-    from adaptrack.control.models import laguerre_basis
-
-    car = paper(at)
-    made = {
-        "single track": at.SingleTrackModel(car, 0.1), "path": at.PathModel(car, 0.05, 0.15, 0.1),
-        "path without lag": at.PathModel(car, 0.05), "user's": users_model(at),
-    }  # fmt: skip
-    for name, model in made.items():
-        found = []
-        for speed in (0.01, 0.5, 1.0, 3.0, 10.0, 27.0, 60.0):
-            found += [np.ravel(each) for each in (*model.discrete(speed), *model.responses(speed, 50))]
-            found += [np.ravel(each) for each in model.responses(speed, 20, True)]
-        yield name, np.concatenate(found)
-        yield f"{name}: turning", model.turning()
-    for pole in (0.0, 0.5, 0.95):
-        yield f"laguerre functions, pole {pole}", laguerre_basis(60, 10, pole)
-
-
-def stability(at: Any) -> Named:
-    """The map of modulus margins that a guard reads: models, laws and estimators linearised."""
-    from adaptrack.analysis.stability import loop_map
-
-    car = paper(at)
-    nodes = [20.0, 40.0], [2.0, 8.0], [2.0, 4.0]
-    for name, mpc in {"published": at.published_mpc(car, period=0.05), "informed": at.MPC(car, profile="road")}.items():
-        axes, values = loop_map(at.DualTrack(car), mpc, "road", speed=(5.0, 20.0), nodes=nodes)
-        yield f"{name}: axes", np.concatenate(axes)
-        yield f"{name}: values", values
 
 
 def quadratic_programmes(at: Any) -> Named:
@@ -934,10 +592,6 @@ def quadratic_programmes(at: Any) -> Named:
     from adaptrack.control.qp.hildreth import Hildreth
 
     problems = chunk(0)
-    yield (
-        "problems",
-        np.concatenate([np.ravel(each) for p in problems for each in (p.qp.E, p.qp.K, p.qp.M, p.qp.gamma)]),
-    )
     solvers = {
         "active set": ActiveSet(), "active set, 3 changes": ActiveSet(3), "hildreth": Hildreth(),
         "hildreth, long": Hildreth(2000, 1e-14, "hold"), "hildreth, applied": Hildreth(5, 1e-7, "apply"),
@@ -953,164 +607,28 @@ def quadratic_programmes(at: Any) -> Named:
         yield name, np.concatenate([np.asarray(each, dtype=float) for each in found])
 
 
-WORKLOADS: tuple[Callable[[Any], Named], ...] = (
-    given_to_controllers, published_mpc, informed_mpc, learning_mpc, scheduled_mpc, steering_laws, mpc_on_roads,
-    trackers, friction_estimator, compiled_steps, right_hand_sides, straight_runs, road_runs,
-    runs_of_others, batches, run_sets, swarms, tuning, schedules, episodes, identification, road_geometry,
-    generated_roads, models, stability, quadratic_programmes,
-)  # fmt: skip
+WORKLOADS: Mapping[str, Callable[[Any], Named]] = {
+    workload.__name__.replace("_", "-"): workload
+    for workload in (
+        published_mpc, informed_mpc, learning_mpc, scheduled_mpc, steering_laws, mpc_on_roads, trackers,
+        right_hand_sides, straight_runs, road_runs, runs_of_others, batches, road_geometry, quadratic_programmes,
+    )
+}  # fmt: skip
 
 
-# -- in the process that has a checkout on its path -------------------------------------------------------------------
-def record(file: Path, names: Iterable[str], coverage: bool) -> int:
-    """Do the workloads and write their arrays; how many failed: these are told, and the rest of them is missing."""
+def record(file: Path, names: Sequence[str]) -> None:
+    """Do the workloads with the package of this interpreter and write their arrays."""
     import adaptrack as at
 
-    if not Path(at.__file__).is_relative_to(os.environ["ANSWERS_OF"]):
-        raise SystemExit(f"adaptrack is taken from {at.__file__}.")
-    found: dict[str, Array] = {}
-    chosen = [each for each in WORKLOADS if each.__name__ in names]
-    begun, failed = time.monotonic(), 0
-    for k, workload in enumerate(chosen):
-        before, cpu = len(found), time.process_time()
-        said = ""
-        try:
-            for name, value in workload(at):
-                found[f"{workload.__name__}/{name}"] = np.asarray(value, dtype=float)
-        except Skipped as reason:
-            said = f", skipped: {reason}"
-        except Exception:
-            traceback.print_exc()
-            said, failed = ", FAILED, see above", failed + 1
-        print(
-            f"{k + 1} of {len(chosen)}: {workload.__name__}, {len(found) - before} arrays, "
-            f"{time.process_time() - cpu:.1f} CPU s, {time.monotonic() - begun:.0f} s so far{said}",
-            file=sys.stderr, flush=True,
-        )  # fmt: skip
-    np.savez_compressed(file, **{name.replace("/", "|"): values for name, values in found.items()})
-    if coverage:
-        say_coverage()
-    return failed
-
-
-def say_coverage() -> None:
-    """The kernels that have never been compiled in this process, or never called in the library."""
-    if importlib.util.find_spec("adaptrack.core") is not None:
-        from adaptrack.core.kernel import EXPORTED
-
-        never = sorted(name for name, each in EXPORTED.items() if "address" not in vars(each))
-        print(f"coverage: {len(EXPORTED) - len(never)} of {len(EXPORTED)} kernels were called from Python")
-        print(*(f"  by kernels alone, or never: {name}" for name in never), sep="\n")
-        return
-    import adaptrack.kernels as room
-    from adaptrack.kernels import abi
-
-    if not hasattr(abi, "_Kernel"):
-        print("coverage: this checkout does not say which of its kernels are compiled")
-        return
-    modules = [importlib.import_module(each.name) for each in pkgutil.walk_packages(room.__path__, f"{room.__name__}.")]
-    candidates = [value for module in modules for value in vars(module).values()]
-    for plant, laws in (("single_track", 3), ("dual_track", 3)):
-        module = importlib.import_module(f"{room.__name__}.plants.{plant}")
-        candidates += [each for law in range(laws) for each in module.compiled(law)]
-    kernels = {id(each): each for each in candidates if isinstance(each, abi._Kernel) and each.kept and each.declared}
-    never = sorted(
-        f"{each.py_func.__module__}.{each.py_func.__qualname__}" for each in kernels.values() if not each.overloads
-    )
-    print(f"coverage: {len(kernels) - len(never)} of {len(kernels)} kernels have been compiled")
-    print(*(f"  never: {name}" for name in never), sep="\n")
-
-
-# -- in the process that compares -------------------------------------------------------------------------------------
-def differences(one: Array, other: Array) -> tuple[int, float]:
-    """How many numbers differ in their bits, and by how much at most, relative to the larger; NaN alike are equal."""
-    same = (one.view(np.int64) == other.view(np.int64)) | (np.isnan(one) & np.isnan(other))
-    a, b = one[~same], other[~same]
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        away = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
-    away = np.where((a == b), 0.0, np.where(np.isnan(away), math.inf, away))
-    return int(a.size), float(away.max(initial=0.0))
-
-
-def compare(reference: Mapping[str, Array], found: Mapping[str, Array]) -> Iterator[tuple[bool, str]]:
-    """Whether each array is the same to the bit, in words."""
-    for name in reference:
-        if name not in found:
-            yield False, f"{name}: MISSING here"
-        elif reference[name].shape != found[name].shape:
-            yield False, f"{name}: DIFFERENT shape, {found[name].shape} instead of {reference[name].shape}"
-        else:
-            count, away = differences(reference[name].ravel(), found[name].ravel())
-            size = reference[name].size
-            equal = f"{name}: equal, {size:,} numbers"
-            yield count == 0, equal if not count else f"{name}: {count:,} of {size:,} DIFFER, relative {away:.2g}"
-    for name in found.keys() - reference.keys():
-        yield False, f"{name}: not in the reference"
-
-
-def read(file: Path, names: Iterable[str]) -> dict[str, Array]:
-    """The arrays of these workloads."""
-    with np.load(file) as arrays:
-        found = {name.replace("|", "/"): np.ascontiguousarray(arrays[name]) for name in arrays.files}
-    return {name: values for name, values in found.items() if name.partition("/")[0] in names}
-
-
-def main() -> int:
-    """The command; 1 where an answer differs."""
-    names = [each.__name__ for each in WORKLOADS]
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkout", type=Path)
-    parser.add_argument("--out", type=Path, help="write the answers to this file")
-    parser.add_argument("--against", type=Path, help="a file of answers")
-    parser.add_argument("--only", nargs="+", metavar="NAME", choices=names, default=names, help=", ".join(names))
-    parser.add_argument("--coverage", action="store_true", help="say which kernels were not compiled")
-    parser.add_argument("--python", default=sys.executable, help="runs the checkout")
-    parser.add_argument("--cache", type=Path, help="folder of compiled kernels; by default that of the environment")
-    parser.add_argument("--quiet", action="store_true", help="print what differs alone")
-    parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.record is not None:
-        return FAILED if record(asked.record, asked.only, asked.coverage) else 0
-    if not (asked.out or asked.against or asked.coverage):
-        parser.error("say --out, --against or --coverage")
-    checkout = asked.checkout.resolve()
-    with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "answers.npz"
-        paths = [str(checkout / "src"), str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "ANSWERS_OF": str(checkout),
-                       "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # fmt: skip
-        cache_folder = Path(temporary) / "cache" if asked.coverage else asked.cache
-        if cache_folder is not None:
-            environment["NUMBA_CACHE_DIR"] = str(cache_folder.resolve())
-        command = [
-            asked.python,
-            str(Path(__file__).resolve()),
-            str(checkout),
-            "--record",
-            str(file),
-            "--only",
-            *asked.only,
-        ]
-        done = subprocess.run([*command, *["--coverage"] * asked.coverage], env=environment, check=False)
-        if done.returncode not in (0, FAILED):
-            return done.returncode
-        found = read(file, asked.only)
-        if asked.out is not None:
-            asked.out.write_bytes(file.read_bytes())
-    print(f"{checkout}: {len(found)} arrays, {sum(each.size for each in found.values()):,} numbers")
-    if asked.against is None:
-        return done.returncode
-    there = {name.partition("/")[0] for name in found}
-    skipped = [name for name in asked.only if name not in there] if done.returncode == 0 else []
-    print(*(f"{name}: skipped, NOT compared\n" for name in skipped), sep="", end="")
-    compared = list(compare(read(asked.against, {*asked.only} - {*skipped}), found))
-    for same, text in compared:
-        if not (same and asked.quiet):
-            print(text)
-    different = sum(not same for same, _ in compared)
-    print(f"{len(compared) - different} of {len(compared)} arrays are the same to the bit")
-    return done.returncode or int(different > 0)
+    np.savez_compressed(file, **{
+        f"{name}|{key.replace('/', ' per ')}": np.asarray(values, dtype=float)
+        for name in names for key, values in WORKLOADS[name](at)
+    })  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("names", nargs="+", choices=WORKLOADS)
+    parser.add_argument("--record", type=Path, required=True, metavar="FILE")
+    options = parser.parse_args()
+    record(options.record, options.names)

@@ -1,8 +1,9 @@
-"""What the filter bears: steering bias and bank, missing, late and stuck samples, and how honest its variances are.
+"""What the filter bears: steering bias and bank, missing, late and stuck samples.
 
-    python benchmarks/estimating.py [offsets] [grip] [samples] [stuck] [nis] [--runs 100] [--json]
+    python benchmarks/estimating.py [offsets] [grip] [samples] [stuck] [--runs 100] [--json]
 
-Without words all five. Paper's car, default constant and filter, fresh noise; J as in what_pays.py.
+Without words all four. Paper's car, default constant and filter, fresh noise. J = mean e^2 + w mean (change of
+command)^2 with the profile's w; a failed drive counts 25 m^2.
 """
 
 from __future__ import annotations
@@ -10,22 +11,16 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from what_pays import FAILED, costs
 
 import adaptrack as at
 from adaptrack.control.kalman import SENSORS, Drifts, KalmanFilter
-from adaptrack.control.models import PathModel
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout
 from adaptrack.scenario import Scenario, random_drive
 from adaptrack.scenario.profile import load_profile
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from textbook_filter import TextbookFilter
 
 CAR = at.load_vehicle("paper")
 PLANT = at.DualTrack(CAR, "magic-formula")
@@ -33,7 +28,20 @@ ROAD, PRODUCTION = load_profile("road"), load_profile("production")
 STUCK_AT = {"vy": 0.5, "yaw_rate": 0.1, "wheel_angle": 0.05, "lateral_acceleration": 2.0}
 """m/s, rad/s, rad, m/s^2: what a sensor reads that is stuck."""
 SENSORS_AT = {name: place for place, name in enumerate(SENSORS)}
+FAILED = 25.0
+"""m^2, the cost of a failed drive"""
 BIAS, BANK = 0.01, math.asin(0.5 / 9.80665)
+
+
+def costs(plant: Any, mpc: Any, tuning: at.Tuning, runs: list[Any], profile: Any, seed: int) -> Any:
+    """J of each run (runs,), and which runs failed."""
+    count = len(runs)
+    batch = rollout_batch(
+        plant, mpc, runs, np.tile(tuning.as_array(), (count, 1)), which=np.arange(count), profile=profile,
+        seeds=seed + np.arange(count),
+    )  # fmt: skip
+    failed = np.array([reason is not None for reason in batch.failed])
+    return np.where(failed, FAILED, batch.mse + profile.move_weight * batch.mean_squared_move), failed
 
 
 def with_bias(profile: Any, bias: float) -> Any:
@@ -226,44 +234,14 @@ def faulty(tests: list[Any], profile: Any, fault: Fault) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def nis(runs: int) -> list[dict[str, Any]]:
-    """Share of the single-step NIS of each sensor inside their 95 % interval, on the nonlinear plant."""
-    inside: dict[str, list[bool]] = {}
-    for i in range(min(runs, 20)):
-        scenario = random_drive(9_100_000 + i)
-        run = rollout(PLANT, at.MPC(CAR, profile=ROAD), scenario, profile=ROAD, seed=90_000 + i)
-        rng = np.random.default_rng(i)
-        textbook = TextbookFilter(
-            KalmanFilter.of_profile(ROAD), PathModel(CAR, ROAD.period, ROAD.steering.lag, ROAD.dead_time)
-        )
-        truth = np.column_stack([run.vy, run.psi, run.yaw_rate, run.Y])
-        seen = truth + rng.normal(size=truth.shape) * ROAD.noise
-        command = np.concatenate([[0.0], run.command[:-1]])
-        for k in range(len(run.t) if run.failed is None else int(run.failed_at / ROAD.period)):
-            measured = np.concatenate([seen[k], [math.nan, math.nan, 0.0, 0.0]])
-            if k == 0:
-                textbook.step(run.vx[k], measured, 0.0)
-                continue
-            textbook.sent = [command[k], *textbook.sent[:-1]]
-            textbook.steps += 1
-            textbook.predict(run.vx[k])
-            for name, value, variance in zip(SENSORS[:4], seen[k], textbook.own.variances()[:4], strict=True):
-                h, _ = textbook.reading(name, 0, 0.0, run.vx[k])
-                found = (value - h @ textbook.z) ** 2 / (h @ textbook.P @ h + variance)
-                if k > 40:
-                    inside.setdefault(name, []).append(found < 3.8415)
-                textbook.correct(h, value, variance)
-    return [{"sensor": name, "inside_95": float(np.mean(each)), "steps": len(each)} for name, each in inside.items()]
-
-
 def main() -> None:
     """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", default=[], choices=[[], "offsets", "grip", "samples", "stuck", "nis"])
+    parser.add_argument("what", nargs="*", default=[], choices=[[], "offsets", "grip", "samples", "stuck"])
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    parts = {"offsets": offsets, "grip": grip, "samples": samples, "stuck": stuck, "nis": nis}
+    parts = {"offsets": offsets, "grip": grip, "samples": samples, "stuck": stuck}
     found = {name: parts[name](options.runs) for name in options.what or parts}
     if options.json:
         print(json.dumps(found))

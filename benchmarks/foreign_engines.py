@@ -1,7 +1,7 @@
-"""A car in physics engines that are not ours, driven through `Tracker`: MuJoCo and PyBullet.
+"""A car in a physics engine that is not ours, MuJoCo, driven through `Tracker`.
 
-    pip install --target DIR mujoco pybullet          # neither belongs to this package; DIR must not shadow its NumPy
-    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco pybullet] [--only learning] [--json]
+    pip install --target DIR mujoco          # it does not belong to this package; DIR must not shadow our NumPy
+    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco mujoco-creep] [--only learning] [--json]
 
 Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
 nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
@@ -18,12 +18,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import tempfile
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -45,7 +43,7 @@ INERTIA = (550.0, 2400.0, 2700.0)
 """kg m^2, of the body, about its axes"""
 RATE = 0.6
 """rad/s"""
-DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10), "pybullet": (0.15, 0.15)}
+DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10)}
 """s, lag and dead time"""
 SEEDS = {"mountain": (8101, 8102), "town": (8201,), "lanes": (8301, 8302), "random": (8401, 8402)}
 """Of the judged runs. The cars were made to stand and roll on seeds below 100."""
@@ -157,100 +155,10 @@ class MuJoCo:
         self.model.pair_friction[:, :2] = value
 
 
-class PyBullet:
-    """Rigid axles on spheres that roll by Bullet's contact: Coulomb friction without creep (E. Coumans)."""
-
-    def __init__(self) -> None:
-        import pybullet
-
-        self.bullet = pybullet
-        self.client = pybullet.connect(pybullet.DIRECT)
-        pybullet.setTimeStep(DT)
-        pybullet.setGravity(0.0, 0.0, -9.81)
-        self.ground = pybullet.createMultiBody(0.0, pybullet.createCollisionShape(pybullet.GEOM_PLANE))
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "car.urdf"
-            path.write_text(self._urdf())
-            self.car = pybullet.loadURDF(str(path), [0.0, 0.0, HEIGHT], flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
-        names = [pybullet.getJointInfo(self.car, j)[1].decode() for j in range(pybullet.getNumJoints(self.car))]
-        self.steers = [names.index(f"steer{i}") for i in range(2)]
-        self.spins = [names.index(f"spin{i}") for i in range(4)]
-        for body, link in [(self.ground, -1), *((self.car, j) for j in range(-1, len(names)))]:
-            pybullet.changeDynamics(
-                body, link, lateralFriction=1.0, rollingFriction=0.0, spinningFriction=0.0, linearDamping=0.0,
-                angularDamping=0.0, jointDamping=0.0,
-            )  # fmt: skip
-        for joint in self.spins:
-            pybullet.setJointMotorControl2(self.car, joint, pybullet.VELOCITY_CONTROL, force=0.0)
-        self.before = (0.0, 0.0)
-
-    @staticmethod
-    def _link(name: str, mass: float, inertia: tuple[float, ...], shape: str = "") -> str:
-        ixx, iyy, izz = inertia
-        return (
-            f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" '
-            f'ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
-        )
-
-    def _urdf(self) -> str:
-        parts = self._link("body", MASS - 4.0 * WHEEL, INERTIA)
-        sphere = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
-        for i, (arm, side) in enumerate(zip(ARMS, SIDES, strict=True)):
-            place = f'<origin xyz="{arm} {side} {RADIUS - HEIGHT}"/>'
-            parent = "body"
-            if i < 2:
-                parent = f"hub{i}"
-                parts += self._link(parent, 4.0, (0.1, 0.1, 0.1))
-                parts += (
-                    f'<joint name="steer{i}" type="revolute"><parent link="body"/><child link="{parent}"/>{place}'
-                    '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1e6" velocity="100"/></joint>'
-                )
-                place = ""
-            parts += self._link(f"wheel{i}", WHEEL - (4.0 if i < 2 else 0.0), (0.5, 0.9, 0.5), sphere)
-            parts += (
-                f'<joint name="spin{i}" type="continuous"><parent link="{parent}"/><child link="wheel{i}"/>{place}'
-                '<axis xyz="0 1 0"/></joint>'
-            )
-        return f'<robot name="car">{parts}</robot>'
-
-    def place(self, x: float, y: float, yaw: float, speed: float) -> None:
-        turned = self.bullet.getQuaternionFromEuler([0.0, 0.0, yaw])
-        self.bullet.resetBasePositionAndOrientation(self.car, [x, y, HEIGHT], turned)
-        self.bullet.resetBaseVelocity(self.car, [speed * math.cos(yaw), speed * math.sin(yaw), 0.0], [0.0] * 3)
-        for joint in self.steers:
-            self.bullet.resetJointState(self.car, joint, 0.0, 0.0)
-        for joint in self.spins:
-            self.bullet.resetJointState(self.car, joint, 0.0, speed / RADIUS)
-
-    def step(self, angle: float, force: float, push: float) -> None:
-        angles = ackermann(angle)
-        rates = [(new - old) / DT for new, old in zip(angles, self.before, strict=True)]
-        self.before = angles
-        self.bullet.setJointMotorControlArray(
-            self.car, self.steers, self.bullet.POSITION_CONTROL, targetPositions=angles, targetVelocities=rates,
-            forces=[2e4, 2e4], positionGains=[0.4, 0.4], velocityGains=[1.0, 1.0],
-        )  # fmt: skip
-        self.bullet.setJointMotorControlArray(
-            self.car, self.spins, self.bullet.TORQUE_CONTROL, forces=wheel_torques(force)
-        )
-        if push:
-            self.bullet.applyExternalForce(self.car, -1, [0.0, push, 0.0], [0.0] * 3, self.bullet.LINK_FRAME)
-        self.bullet.stepSimulation()
-
-    def state(self) -> State:
-        where, turned = self.bullet.getBasePositionAndOrientation(self.car)
-        linear, angular = self.bullet.getBaseVelocity(self.car)
-        yaw = self.bullet.getEulerFromQuaternion(turned)[2]
-        return planar(where[0], where[1], yaw, linear[0], linear[1], angular[2])
-
-    def friction(self, value: float) -> None:
-        self.bullet.changeDynamics(self.ground, -1, lateralFriction=value)
-
-
 CREEP = (0.13, 0.11)
 """s: understeering by 1.5 deg/g at 6 m/s, .6 at 15, .4 at 25"""
 ENGINES: dict[str, Callable[[], Engine]] = {
-    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP), "pybullet": PyBullet,
+    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP),
 }  # fmt: skip
 
 
@@ -409,12 +317,13 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--engine", nargs="+", default=list(ENGINES), choices=list(ENGINES))
     ask.add_argument("--only", nargs="+", help="names of controllers")
+    ask.add_argument("--seconds", type=float, default=math.inf, help="of each run at most")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     found: list[dict[str, Any]] = []
     for name in given.engine:
         engine = ENGINES[name]()
-        for trip in trips():
+        for trip in (replace(trip, seconds=min(trip.seconds, given.seconds)) for trip in trips()):
             for label, controller in controllers(DELAYS[name]).items():
                 if given.only and label not in given.only:
                     continue

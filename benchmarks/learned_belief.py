@@ -28,7 +28,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.decomposition import PCA
-from sklearn.linear_model import Ridge
 from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -256,8 +255,6 @@ class Learned(NamedTuple):
     fuzzy: list[Any]
     middle: Array
     scale: Array
-    sureness: Any
-    """of what a window says: log of the network's squared error from the features"""
 
     def estimates(self, x: Array) -> dict[str, Array]:
         """(drives, targets) of the networks' mean and of ANFIS."""
@@ -266,16 +263,13 @@ class Learned(NamedTuple):
         return {name: self.middle + self.scale * z for name, z in (("network", mean), ("ANFIS", fuzzy))}
 
 
-def learned(windows: list[tuple[int, int]], half: Half, held: Half, period: float) -> Learned:
-    """Networks and ANFIS of these windows of the drives; held: drives that tell how sure a network is."""
+def learned(windows: list[tuple[int, int]], half: Half, period: float) -> Learned:
+    """Networks and ANFIS of these windows of the drives."""
     x, y = stacked(windows, half, period)
     middle, scale = y.mean(axis=0), y.std(axis=0)
     z = (y - middle) / scale
     networks = [network(seed).fit(x, z) for seed in range(3)]
-    found = Learned(networks, [anfis().fit(x, target) for target in z.T], middle, scale, None)
-    x, y = stacked(windows, held, period)
-    off = np.log((found.estimates(x)["network"] - y) ** 2 + 1e-4)
-    return found._replace(sureness=make_pipeline(StandardScaler(), PCA(12, random_state=0), Ridge(10.0)).fit(x, off))
+    return Learned(networks, [anfis().fit(x, target) for target in z.T], middle, scale)
 
 
 def stacked(windows: list[tuple[int, int]], half: Half, period: float) -> tuple[Array, Array]:
@@ -283,17 +277,6 @@ def stacked(windows: list[tuple[int, int]], half: Half, period: float) -> tuple[
     drives, sums = half
     x = np.concatenate([features(*sums, drives, each, period) for each in windows])
     return x, np.concatenate([drives.truth[:, each[1] - 1] for each in windows])
-
-
-def by_short_windows(short: Learned, half: Half, blocks: int, period: float) -> Array:
-    """(drives, targets) of the first blocks, one by one: their mean, weighted by how sure each; friction: the last."""
-    drives, sums = half
-    x = [features(*sums, drives, (i, i + 1), period) for i in range(blocks)]
-    each = np.array([short.estimates(rows)["network"] for rows in x])
-    weight = np.exp(-np.array([short.sureness.predict(rows) for rows in x]))
-    mean = (each * weight).sum(axis=0) / weight.sum(axis=0)
-    mean[:, 2] = each[-1, :, 2]
-    return mean
 
 
 def all_estimates(models: dict[str, Learned], half: Half, blocks: int, period: float) -> dict[str, Array]:
@@ -304,7 +287,6 @@ def all_estimates(models: dict[str, Learned], half: Half, blocks: int, period: f
     recent = models["10 s"].estimates(features(*sums, drives, (blocks - 5, blocks), period))
     for name, values in found.items():
         values[:, 2] = recent[name][:, 2]
-    found["network, 2 s at a time"] = by_short_windows(models["2 s"], half, blocks, period)
     found["filters"] = drives.filters[:, blocks - 1]
     return found
 
@@ -346,11 +328,10 @@ def judged(given: Half, test: int, period: float) -> tuple[list[dict[str, Any]],
     fit, held, unseen = (split(given, cut) for cut in (slice(0, count * 6 // 7), slice(count * 6 // 7, count),
                                                        slice(count, None)))  # fmt: skip
     windows = {
-        "2 s": [(i, i + 1) for i in range(0, 30, 2)],
         "10 s": [(i, i + 5) for i in range(0, 26, 3)],
         "60 s": [(a, b) for a in (0, 4, 8) for b in (26, 30)],
     }
-    models = {name: learned(each, fit, held, period) for name, each in windows.items()}
+    models = {name: learned(each, fit, period) for name, each in windows.items()}
     rows, estimated = [], {}
     for blocks in (5, 30):
         known, found = (all_estimates(models, half, blocks, period) for half in (held, unseen))

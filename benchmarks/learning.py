@@ -1,7 +1,6 @@
 """Random cars that nobody has measured: the controller that learns them, beside the same told the truth, and others.
 
     python benchmarks/learning.py [--cars 200] [--seed 1] [--profile road] [--only NAME ...] [--json]
-    python benchmarks/learning.py --time [--profile road]   # CPU time of a compiled step, plant included
 
 A car is the paper's or the saloon, log-uniform about it: mass and inertia x.6-1.6, stiffness x.5-2.5, front over rear
 x.85-1.18; its steering has .05-.35 s of lag, 0-.25 s of dead time and a bias within +-.02 rad (uniform), its sensors
@@ -17,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,21 +125,6 @@ def compared(name: str, cost: np.ndarray, failed: np.ndarray, truth: np.ndarray,
     }  # fmt: skip
 
 
-def step_times(profile: Profile, repeats: int = 15) -> dict[str, float]:
-    """Least CPU time (us) of a compiled step with its plant, without learning and with it, taken in turns."""
-    car = random_car(0, 1, profile)
-    drive, found = random_drive(DRIVES, MINUTE * MINUTES), {}
-    for _ in range(repeats):
-        for name in ("told the truth", "learning"):
-            controller, world = contenders(car, profile)[name]
-            batch = Batch(at.DualTrack(car.body, car.tyre), controller, [drive], world)
-            begun = time.process_time()
-            batch.run(np.zeros(1, np.int64), batch.tuning[None], np.zeros(1, np.int64), 1)
-            taken = 1e6 * (time.process_time() - begun) / batch.periods[0]
-            found[name] = min(found.get(name, math.inf), taken)
-    return found
-
-
 def main() -> None:
     """Drive the cars with each contender, print a row each."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -150,12 +133,8 @@ def main() -> None:
     ask.add_argument("--profile", default="road")
     ask.add_argument("--only", nargs="*", default=None, help="contenders beside the truth")
     ask.add_argument("--json", action="store_true")
-    ask.add_argument("--time", action="store_true")
     given = ask.parse_args()
     profile = load_profile(given.profile)
-    if given.time:
-        print(json.dumps(step_times(profile)))
-        return
     found: dict[str, list[tuple[np.ndarray, bool]]] = {}
     for number in range(given.cars):
         car = random_car(number, given.seed, profile)

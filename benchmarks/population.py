@@ -1,6 +1,6 @@
 """One tuning for every car, or one that follows from what is known of the car: regrets on random cars.
 
-    python benchmarks/population.py [--cars 100] [--profile road] [--known exactly] [--costs FILE] [--picture FILE]
+    python benchmarks/population.py [--cars 100] [--profile road] [--known exactly] [--costs FILE]
 
 Random cars (`identification.random_cars`): the paper's and the saloon, log-uniform about them, with their own steering
 and noise. `exactly`: the controller is told the car, in a world without steering bias. `within`: of a car whose
@@ -11,8 +11,8 @@ Each car drives with a grid of constants, 11 weights about the profile's own and
 drives of 30 s for choosing, DRIVES others for judging. J = mean e^2 + w mean (change of command)^2; a failed drive
 counts 25 m^2. A car's own best constant is chosen on the first and judged on the second, as all others are; regret is
 the geometric mean of J over it, by 10-fold cross-validation: whatever is learned is learned on other cars. Between the
-weights of the grid log J is interpolated; horizons are the pair of the grid that is nearest. What is learned are either
-the weight over the profile's own and Np, in logarithms (Nc goes with Np in the grid), or the costs of the grid.
+weights of the grid log J is interpolated; horizons are the pair of the grid that is nearest. What is learned is
+the weight over the profile's own and Np, in logarithms (Nc goes with Np in the grid).
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.decomposition import PCA
 from sklearn.linear_model import RidgeCV
 from sklearn.preprocessing import StandardScaler
 
@@ -202,20 +201,6 @@ def by_best(train: Cars, test: Cars, make: Callable[[], Any]) -> tuple[Array, Ar
     return np.abs(found[1][:, None] - lengths).argmin(axis=1), found[0]
 
 
-def by_cost(train: Cars, test: Cars, make: Callable[[], Any]) -> tuple[Array, Array]:
-    """Learned: what each tuning of the grid costs a car, through three principal components; the cheapest is taken.
-
-    A weight too low fails, one too high is slow: the mean of the best weights is not the best in the mean.
-    """
-    x, z = scaled(train, test)
-    cost = train.choosing - train.choosing.min(axis=(1, 2), keepdims=True)
-    reduce = PCA(3, random_state=0).fit(cost.reshape(len(x), -1))
-    parts = reduce.transform(cost.reshape(len(x), -1)).T
-    predicted = reduce.inverse_transform(np.stack([make().fit(x, part).predict(z) for part in parts], axis=1))
-    pair, weight = np.unravel_index(predicted.argmin(axis=1), cost.shape[1:])
-    return pair, WEIGHTS[weight]
-
-
 def of_noise(cars: Cars) -> Cars:
     """The cars of whom only the noise of the sensors is known."""
     return cars._replace(features=cars.features[:, NOISE : NOISE + 1])
@@ -251,20 +236,7 @@ CONTENDERS: dict[str, Callable[[Cars, Cars], tuple[Array, Array]]] = {
     "linear in the noise": lambda train, test: by_best(of_noise(train), of_noise(test), linear),
     "network, of the best": lambda train, test: by_best(train, test, network),
     "ANFIS, of the best": lambda train, test: by_best(train, test, anfis),
-    "linear, of the cost": lambda train, test: by_cost(train, test, linear),
-    "network, of the cost": lambda train, test: by_cost(train, test, network),
-    "ANFIS, of the cost": lambda train, test: by_cost(train, test, anfis),
 }
-
-
-DRAWN = (
-    "the profile's constant",
-    "one, times the caution",
-    "... times yaw gain^2",
-    "network, of the best",
-    "ANFIS, of the best",
-)
-"""Contenders in the picture."""
 
 
 def judged(cars: Cars) -> dict[str, Array]:
@@ -303,25 +275,6 @@ def collected(given: argparse.Namespace) -> tuple[Cars, Array, int]:
     return cars, share, int((cost[:, USUAL, len(WEIGHTS) // 2] >= FAILED).sum())
 
 
-def picture(cars: Cars, found: dict[str, Array], path: Path) -> None:
-    """Each car's own best weight over the features, and the distribution of the regrets."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 3.4), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    wanted = cars.targets()[:, 0]
-    for axes, column in ((left, YAW_GAIN), (middle, NOISE)):
-        axes.plot(cars.features[:, column], wanted, ".", color="tab:blue", markersize=4)
-        axes.set_xlabel({YAW_GAIN: "log10 yaw gain at 15 m/s (1/s)", NOISE: "log10 noise factor"}[column])
-        axes.axhline(0.0, color="0.6", linewidth=0.8)
-    left.set_ylabel("log10 of the best R over the profile's")
-    for name in DRAWN:
-        right.plot(np.exp(np.sort(found[name])), np.linspace(0.0, 1.0, len(wanted)), linewidth=1.2, label=name)
-    right.set(xlim=(0.9, 1.6), xlabel="J over that of the car's own best constant", ylabel="share of cars")
-    right.legend(fontsize=7, loc="lower right")
-    figure.savefig(path, dpi=110)
-
-
 def main() -> None:
     """Drive the cars, judge the contenders, print a row each."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -329,7 +282,6 @@ def main() -> None:
     ask.add_argument("--profile", default="road")
     ask.add_argument("--known", choices=KNOWN, default="exactly")
     ask.add_argument("--costs", type=Path, default=None, help="file to keep the costs in, or to read them from")
-    ask.add_argument("--picture", type=Path, default=None)
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.ERROR)  # a belief that is wrong is the point here
@@ -356,8 +308,6 @@ def main() -> None:
         quantiles = np.quantile(WEIGHTS[own[:, 1]], (0.0, 0.1, 0.5, 0.9, 1.0)).round(3).tolist()
         print("own best:", dict(zip(PAIRS, np.bincount(own[:, 0], minlength=len(PAIRS)).tolist(), strict=True)),
               "of the horizons; log10 weight, quantiles 0, 10, 50, 90, 100 %:", quantiles)  # fmt: skip
-    if given.picture is not None:
-        picture(cars, found, given.picture)
 
 
 if __name__ == "__main__":

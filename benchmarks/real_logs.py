@@ -1,6 +1,6 @@
-"""Logs of real cars that are not ours: what `identify` and `shadow` say of them. Positions are never printed.
+"""Logs of real cars that are not ours: what `identify` says of them. Positions are never printed.
 
-    python benchmarks/real_logs.py LOG.toml [...] [--what identify shadow] [--json]
+    python benchmarks/real_logs.py LOG.toml [...] [--json]
 
 A LOG.toml says where logs of one car lie and how they are to be read; the logs belong to others and are not shipped:
 
@@ -90,28 +90,6 @@ def identified(
     }  # fmt: skip
 
 
-def shadowed(
-    logs: Sequence[Mapping[str, np.ndarray]], entry: Mapping[str, Any], how: Mapping[str, Any]
-) -> list[dict[str, Any]]:
-    """What `shadow` says of each log, driven by a controller that has the data sheet."""
-    from adaptrack.identification.shadow import shadow
-
-    car = at.vehicle_from_data_sheet("sheet", entry["mass"], entry["wheelbase"])
-    found = []
-    for log in logs:
-        try:
-            told = shadow(log, car, reading=reading_of(how)).logs[0]
-        except InvalidInput as error:
-            found.append({"refused": str(error)})
-            continue
-        found.append({
-            "predictions": [[each.predictor, each.quantity, each.ahead, each.part, list(each.rms), list(each.ours)]
-                            for each in told.predictions],
-            "warnings": [list(each) for each in told.warnings], "doubts": list(told.doubts), "notes": list(told.notes),
-        })  # fmt: skip
-    return found
-
-
 def steady_gradient(log: Mapping[str, np.ndarray], wheelbase: float) -> float:
     """deg/g, by least squares from means over a second: wheel angle less L r/v over v r, where v r is .5 to 5 m/s^2.
 
@@ -156,27 +134,10 @@ def show(run: Mapping[str, Any], known: Mapping[str, float]) -> None:
         print(f"    - {sentence}")
 
 
-def show_shadow(run: Mapping[str, Any]) -> None:
-    """Print what `shadow` says of a log."""
-    if "refused" in run:
-        print(f"    shadow refused: {run['refused']}")
-        return
-    for predictor, quantity, ahead, part, (rms, low, high), (ratio, least, most) in run["predictions"]:
-        print(
-            f"    {quantity:8s} {ahead:3g} s ahead, {part:8s} {predictor:8s} RMS {rms:.4f} [{low:.4f}, {high:.4f}]  "
-            f"learned over it {ratio:.2f} [{least:.2f}, {most:.2f}]"
-        )
-    for what, seconds, first in run["warnings"]:
-        print(f"    - would have warned: {what}, {seconds:.1f} s in all, first at {first:.1f} s")
-    for sentence in (*run["doubts"], *run["notes"]):
-        print(f"    - {sentence}")
-
-
 def main() -> None:
     """Print what each reading of each log gives."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("files", nargs="+", type=Path)
-    ask.add_argument("--what", nargs="+", default=["identify"], choices=["identify", "shadow"])
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     answers = []
@@ -197,8 +158,7 @@ def main() -> None:
                     row["columns"] = described(columns)
                     if how.get("ratio") != "fit":
                         row["steady_gradient"] = steady_gradient(columns, entry["wheelbase"])
-                row["identify"] = identified(part, entry, how) if "identify" in given.what else None
-                row["shadow"] = shadowed(part, entry, how) if "shadow" in given.what and len(part) == 1 else []
+                row["identify"] = identified(part, entry, how)
                 answers.append(row)
                 if given.json:
                     continue
@@ -208,10 +168,7 @@ def main() -> None:
                     print("    {samples} samples, {seconds:.0f} s, {rate:.0f} Hz: ".format(**row["columns"]) + ranges)
                 if math.isfinite(row["steady_gradient"]):
                     print(f"    steady turns alone: understeer gradient {row['steady_gradient']:.2f} deg/g")
-                if row["identify"] is not None:
-                    show(row["identify"], entry.get("known", {}))
-                for each in row["shadow"]:
-                    show_shadow(each)
+                show(row["identify"], entry.get("known", {}))
     if given.json:
         print(json.dumps(answers))
 

@@ -1,12 +1,11 @@
 """Chromium and Firefox without a window, driven as a user drives them: keys, pointer, sizes, colours, pictures.
 
 Chromium is spoken to in the DevTools protocol over a pipe, Firefox in Marionette's over a socket; neither needs more
-than the browser. Both offer: `open`, `run`, `wait`, `press`, `write`, `click`, `resize`, `shoot`, `said`, `requests`.
+than the browser. Both offer: `open`, `run`, `wait`, `press`, `write`, `click`, `resize`, `said`, `requests`.
 """
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import os
@@ -207,14 +206,6 @@ class Chromium:
         features += [{"name": "prefers-reduced-motion", "value": "reduce" if media.still else "no-preference"}]
         self._call("Emulation.setEmulatedMedia", features=features)
 
-    def shoot(self, png: Path, *, whole: bool = False) -> None:
-        """A picture of the window; whole: of all of the page."""
-        clip: dict[str, Any] = {}
-        if whole:
-            size = self._call("Page.getLayoutMetrics")["cssContentSize"]
-            clip = {"clip": {**size, "scale": 1}, "captureBeyondViewport": True}
-        png.write_bytes(base64.b64decode(self._call("Page.captureScreenshot", format="png", **clip)["data"]))
-
     # -- what came of it
     def said(self) -> list[str]:
         """What the page and its workers wrote to the console, and what they raised."""
@@ -239,17 +230,6 @@ class Chromium:
             each["request"]["url"] for each in asked
             if each["type"] != "Document" and not each["request"]["url"].startswith(("data:", "blob:"))
         ]  # fmt: skip
-
-    def memory(self) -> int:
-        """bytes of the processes that hold pages, after their rubbish is collected."""
-        self._call("HeapProfiler.collectGarbage")
-        found = 0
-        for each in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError, IndexError):
-                group = int((each / "stat").read_text().rsplit(")", 1)[1].split()[2])
-                if group == self._process.pid and b"--type=renderer" in (each / "cmdline").read_bytes():
-                    found += 1024 * int((each / "smaps_rollup").read_text().split("\nPss:", 1)[1].split()[0])
-        return found
 
 
 class Firefox:
@@ -361,10 +341,6 @@ class Firefox:
         for _ in range(2):
             inner = self._script("return [outerWidth - innerWidth, outerHeight - innerHeight];")
             self._call("WebDriver:SetWindowRect", {"width": width + inner[0], "height": height + inner[1]})
-
-    def shoot(self, png: Path, *, whole: bool = False) -> None:
-        found = self._call("WebDriver:TakeScreenshot", {"full": whole, "hash": False})["value"]
-        png.write_bytes(base64.b64decode(found))
 
     # -- what came of it
     def said(self) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import logging
 import math
-import re
 import sys
 
 import numpy as np
@@ -192,23 +191,6 @@ def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
         Plan.of(campaign(plant="cheap"))
     with pytest.raises(UnknownName, match=r"plugin 'nowhere': there is no such module.*PYTHONPATH"):
         Plan.of(campaign(plugin=["nowhere"]))
-
-
-@pytest.mark.parametrize("name", ["", ".", ".sliding", "sliding.", "a b", "sliding:register"])
-def test_a_plugin_that_can_be_no_module_is_refused_as_one_that_is_missing(name):
-    with pytest.raises(UnknownName, match=f"plugin '{re.escape(name)}': there is no such module"):
-        Plan.of(campaign(plugin=[name]))
-
-
-def test_a_plugin_is_named_with_its_file_before_its_code_runs(monkeypatch, tmp_path, caplog):
-    file = tmp_path / "of_a_stranger.py"
-    file.write_text("import logging\nlogging.getLogger('adaptrack').warning('it runs')\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    for seed in (1, 2):
-        Plan.of(campaign(plugin=["of_a_stranger"], seed=seed))
-    monkeypatch.delitem(sys.modules, "of_a_stranger")
-    announced = f"adaptrack: the campaign's key plugin runs the module of_a_stranger: {file}"
-    assert caplog.messages == [announced, "it runs"]
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

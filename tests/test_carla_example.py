@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace as Record
 
-import numpy as np
 import pytest
 
 import adaptrack as at
@@ -121,10 +120,6 @@ def test_the_centre_of_mass_lies_behind_an_origin_that_lies_ahead_of_it():
     assert given[1:3] == pytest.approx((5.0, -6.6))
 
 
-def test_backwards_is_a_negative_speed():
-    assert conversion.sample_of(0.0, vehicle(transform(0.0, 0.0, 180.0), vector(3.0)), 0.0).speed == pytest.approx(-3.0)
-
-
 @pytest.mark.parametrize(("angle", "steer"), [(0.5 * FULL, -0.5), (-0.1 * FULL, 0.1), (2.0, -1.0)])
 def test_a_wheel_to_the_left_is_a_negative_steer(angle, steer):
     assert conversion.steer_of(angle, FULL) == pytest.approx(steer)
@@ -138,13 +133,6 @@ def test_no_more_than_one_pedal_is_pressed(speed, wanted):
     assert throttle * brake == 0.0
     assert (throttle > 0.0) == (speed < wanted)
     assert (brake > 0.0) == (speed > wanted or wanted == 0.0)
-
-
-def test_the_wheelbase_is_told_in_centimetres():
-    wheels = [Record(position=vector(x, y)) for x, y in ((1000.0, 80.0), (1000.0, -80.0), (1290.0, 80.0))]
-    assert conversion.wheelbase_of(Record(wheels=wheels)) == pytest.approx(2.9)
-    with pytest.raises(at.InvalidInput, match="measure"):
-        conversion.wheelbase_of(Record(wheels=[Record(position=vector())] * 4))
 
 
 def test_a_lane_that_bends_to_the_right_has_a_negative_curvature():
@@ -211,6 +199,7 @@ def test_with_a_known_car_and_centre_of_mass_the_lane_is_held_within_a_decimetre
     assert max(abs(each.offset) for each in told) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_the_log_identifies_the_car(recorded, tmp_path):
     """As it stands: lag and dead time are those of the steering behind the stand-in."""
@@ -219,13 +208,6 @@ def test_the_log_identifies_the_car(recorded, tmp_path):
     found = at.identify(tmp_path / "drive.csv", mass=true.mass, wheelbase=true.wheelbase)
     assert found["lag"].value == pytest.approx(0.1, abs=0.02)
     assert found["delay"].value == pytest.approx(0.1 + DEAD, abs=0.02)
-
-
-def test_straight_driving_does_not_tell_the_centre_of_mass():
-    still = {name: np.zeros(50) for name in loop.COLUMNS} | {"time": 0.05 * np.arange(50)}
-    with pytest.raises(at.InvalidInput, match="hardly turns"):
-        conversion.origin_ahead(still)
-    assert "wheel" not in loop.columns_of([dict.fromkeys(loop.COLUMNS, 0.0)] * 3)
 
 
 # -- the script -------------------------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from adaptrack import (
     ContractError,
     DualTrack,
     InvalidInput,
-    Moves,
     Tuning,
     load_vehicle,
     published_mpc,
@@ -108,28 +107,6 @@ def test_a_loop_that_is_unstable_in_a_turn_only_passes_and_the_count_is_in_the_v
     assert sum(row["unstable"] for row in rows if row["driving"] == "turn") == turn
 
 
-def test_without_hard_turns_only_straight_driving_counts():
-    straight = certify(
-        Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW, domain={"speed": (5.0, 25.0)}, turn=lambda v, mu: 0.0
-    )
-    assert straight.passed
-    np.testing.assert_allclose(straight.counted.straight.radius, straight.counted.turn.radius)
-
-
-def test_scrambled_numbers_are_caught(scrambled):
-    found = certify(scrambled, PLANT, MPC_, "road", levels=FEW)
-    assert not found.passed
-    assert found.counted.unstable.mean() > 0.2
-
-
-def test_the_guard_keeps_scrambled_numbers_from_the_road(scrambled, stability):
-    found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
-    assert found.bare.unstable.sum() > 20
-    assert found.counted.unstable.sum() == 0
-    assert found.counted.straight.worst(found.counted.turn).modulus_margin.min() > 0.03
-    assert found.fallback.mean() > 0.2
-
-
 @pytest.mark.compiled
 def test_with_the_guard_scrambled_numbers_fail_in_no_drive(scrambled, stability):
     drives = [random_drive(seed) for seed in range(900, 908)]
@@ -170,14 +147,6 @@ def test_a_function_that_gives_no_tuning_is_refused_with_the_point(nonsense):
         certify(lambda variables: nonsense, PLANT, MPC_, "road", levels=FEW)
 
 
-def test_horizons_count_as_the_mpc_uses_them():
-    short = published_mpc(CAR, Tuning(30, 5, 1.0, 8000.0), period=0.05, longest_horizon=40, most_moves=6)
-    found = certify(lambda variables: (99.5, 35.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
-    assert (found.counted.tunings[:, :2] == [40.0, 6.0]).all()
-    rounded = certify(lambda variables: (37.5, 0.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
-    assert (rounded.counted.tunings[:, :2] == [38.0, 1.0]).all()
-
-
 def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
     narrow = Lookup({"speed": [8.0, 60.0]}, [[38, 4, 1.0, 8000.0], [38, 4, 1.0, 9000.0]])
     found = certify(narrow, PLANT, MPC_, "road", levels=FEW)
@@ -200,13 +169,6 @@ def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
 def test_a_domain_that_makes_no_sense_is_refused(sound, domain):
     with pytest.raises(InvalidInput, match="certify"):
         certify(sound, PLANT, MPC_, "road", levels=FEW, domain=domain)
-
-
-def test_laguerre_moves_and_the_papers_profile_are_certified_too():
-    mpc = published_mpc(CAR, moves=Moves.laguerre(0.95))
-    found = certify(Constant(Tuning()), DualTrack(CAR, "magic-formula"), mpc, "paper", levels=FEW)
-    expected = spectral_radius(PLANT, mpc, 30.0, friction=1.0)
-    assert found.counted.straight.radius[-1] == pytest.approx(expected)
 
 
 # -- the controller that knows its car --------------------------------------------------------------------------------
@@ -247,18 +209,6 @@ def test_a_cautious_tuning_bears_every_usual_mismatch():
     assert len(found.mismatched) == 8
     assert min(each.modulus_margin.min() for each in found.mismatched.values()) > 0.2
     assert found.verdict.endswith("Of 8 mismatches none makes it unstable.")
-
-
-def test_a_guarded_schedule_of_the_informed_controller_is_stable_everywhere():
-    axes, values = loop_map(PLANT, INFORMED, "road", speed=(8.0, 16.0), nodes=((20, 60), (1, 5, 20), (-1.0, 1.0, 3.0)))
-    wild = Lookup({"speed": [8.0, 16.0]}, [[20, 20, 1.0, 0.1], [20, 20, 1.0, 0.1]], name="wild")
-    known = StabilityMap(Table(axes, values), 0.85)
-    domain = {"speed": (8.0, 16.0)}
-    found = certify(Guarded(wild, Tuning(60, 1, 1.0, 3.0), stability=known), PLANT, INFORMED, "road", levels=(5, 2),
-                    domain=domain)  # fmt: skip
-    assert found.bare.straight.worst(found.bare.turn).modulus_margin.min() < 0.1
-    assert found.counted.straight.worst(found.counted.turn).modulus_margin.min() > 0.1
-    assert found.fallback.any()
 
 
 # -- what is told -----------------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import json
 import math
 import re
 import sys
-from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +14,10 @@ import pytest
 from adaptrack import cli
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars import plant as plant_module
-from adaptrack.cars.plant import DualTrack, SingleTrack, SteppedPlant, UserPlant, check_plant
+from adaptrack.cars.plant import SingleTrack, SteppedPlant, UserPlant, check_plant
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.comparison.compare import compare
-from adaptrack.comparison.contenders import Contender
 from adaptrack.control.controllers import (
-    LQR,
     MPC,
-    PurePursuit,
-    Stanley,
     Tuning,
     UserController,
     check_controller,
@@ -36,7 +30,6 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario
 from adaptrack.tuning.runs import operating_point_runs
-from small_chain import write
 
 CAR = load_vehicle("paper")
 PLANT = SingleTrack(CAR)
@@ -106,16 +99,6 @@ def test_a_model_of_two_states_is_admitted_and_drives_alike_from_python_and_comp
     assert batch.mse[0] == pytest.approx(np.mean(run.error**2), rel=1e-12)
 
 
-def test_the_qp_of_a_model_of_two_states_is_that_of_its_readable_form():
-    mpc = MPC(CAR, Tuning(12, 3, 2.0, 0.5), period=0.05, model=MODEL)
-    mpc.step([0.0, 0.01, 0.0, 0.2], 12.0, [1.0])
-    qp = mpc.problem([0.0, 0.02, 0.0, 0.25], 12.0, [1.0])
-    x = np.array([0.02 - 0.01, 0.25 - 0.2, 0.25])
-    E, K = MODEL.quadratic(12.0, x, np.full(12, 1.0), 12, 3, 2.0, 0.5)
-    assert np.allclose(qp.E, E, rtol=1e-12)
-    assert np.allclose(qp.K, K, rtol=1e-10)
-
-
 def test_a_model_that_leaves_an_entry_unwritten_is_refused():
     def lazy(speed, period, p, a, b, e):
         a[0, 0] = 1.0
@@ -176,14 +159,6 @@ def test_a_law_that_answers_no_number_holds_the_last_command_alike_from_python_a
     assert run.failed is None
 
 
-@pytest.mark.parametrize("law", [LQR, PurePursuit, Stanley])
-def test_our_laws_drive_alike_from_python_and_compiled(law):
-    controller = law(CAR, period=0.05, preview=True)
-    run = simulate(DualTrack(CAR), controller, LANE_CHANGE, profile="road", seed=3)
-    assert same(run, rollout(DualTrack(CAR), controller, LANE_CHANGE, profile="road", seed=3))
-    assert run.failed is None
-
-
 # -- plants of one's own ----------------------------------------------------------------------------------------------
 class Bicycle(SteppedPlant):
     """A kinematic bicycle in plain Python, as an outside simulator would be."""
@@ -219,24 +194,6 @@ def test_a_stepped_plant_is_admitted_and_driven():
     assert np.allclose(run.vx, 10.0)
     with pytest.raises(InvalidInput, match="must be a Plant; simulate"):
         rollout(plant, published_mpc(CAR, period=0.05), LANE_CHANGE)
-
-
-def test_a_stepped_plant_enters_a_comparison_and_costs_what_simulate_says():
-    mpc = published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05)
-    runs = operating_point_runs(Bicycle(), mpc, [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]], "road")
-    schedule = Constant(Tuning(30, 5, 1.0, 100.0))
-    policies = {"own": mpc, "tuning": mpc.tuning, "rows": [[30, 5, 1.0, 300.0]] * 2, "schedule": schedule}
-    found = {name: runs.drive(policy, [3, 4]) for name, policy in policies.items()}
-    assert found["own"].shape == (2, 2)
-    np.testing.assert_array_equal(found["own"], found["tuning"])
-    np.testing.assert_array_equal(found["own"], found["rows"])
-    run = simulate(Bicycle(), mpc, runs.scenarios[1], profile="road", seed=4)
-    assert found["own"][1, 1] == np.mean(run.error**2) + runs.weight * np.mean(run.command_change**2)
-    made = compare(runs, [Contender("own", mpc), Contender("softer", schedule)], [3], "own")
-    assert np.isfinite(made.costs["softer"]).all()
-    assert (made.costs["softer"] != made.costs["own"]).all()
-    segments = runs.segments(mpc.tuning, 3, np.arange(2))
-    np.testing.assert_allclose(segments.sum(axis=1) / runs.periods, found["own"][:, 0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("plant", [SingleTrack(CAR), Bicycle()], ids=["compiled", "stepped"])
@@ -276,21 +233,6 @@ def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged,
     (row,) = json.loads(capsys.readouterr().out)["rows"]
     assert (row["plant"], row["failed"]) == ("Bicycle", None)
     assert "Bicycle" in Path("run/index.html").read_text()
-
-
-@pytest.mark.compiled
-def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(
-    plugged, capsys, monkeypatch
-):
-    monkeypatch.syspath_prepend(Path.cwd())
-    campaign = write(Path(), plant="bicycle", plugin=["bicycles"])
-    points = ("--operating-points", "1", "--known-as", "estimated")
-    assert plugged("paper", "evaluate", "--campaign", str(campaign), *points, "--out", "page", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]
-    assert {row["reference"] for row in rows} == {"best constant"}
-    assert {row["known_as"] for row in rows} == {"exact", "estimated"}
-    assert {"look-up", "nn", "anfis"} <= {row["contender"] for row in rows if row["known_as"] == "exact"}
-    assert "--campaign pond.toml" in unescape(Path("page/index.html").read_text())
 
 
 def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged, capsys):

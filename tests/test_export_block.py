@@ -56,34 +56,11 @@ def test_steps_in_memory_of_c_are_those_of_python(folder):
     assert (memory.raw[-8:] == 0xA5A5A5A5A5A5A5A5).all()
 
 
-def test_a_restored_state_goes_on_as_the_saved_one(folder):
-    mpc, block = made()
-    memory, rng = Memory(block, folder), np.random.default_rng(2)
-    memory.lay()
-    drive(memory, mpc, range(50), rng)
-    state, twin = memory.save(), Memory(block, folder)
-    assert len(state) == 48 + block.state_size
-    twin.lay()
-    assert twin.restore(state) == exported.OK
-    assert drive(twin, mpc, range(50, 100), rng) == 0
-
-
 def test_blocks_of_one_kind_of_controller_share_their_layout():
     blocks = [made()[1], made()[1], made(at.Tuning(30, 10, 2.0, 20.0))[1]]
     assert len({each.header.layout for each in blocks}) == 1
     assert blocks[0].content == blocks[1].content
     assert blocks[0].checksum != blocks[2].checksum
-
-
-def test_another_tuning_acts_at_the_next_instant_and_what_was_learned_stays(folder):
-    mpc, block = made(at.Tuning(30, 10, 2.0, 20.0))
-    _, other = made(at.Tuning(20, 5, 1.0, 50.0))
-    memory, rng = Memory(block, folder), np.random.default_rng(3)
-    memory.lay()
-    drive(memory, mpc, range(100), rng)
-    assert memory.renew(other.content) == exported.OK
-    mpc._requested[:] = [20, 5, 1.0, 50.0]
-    assert drive(memory, mpc, range(100, 160), rng) == 0
 
 
 def test_another_learned_car_takes_the_place_of_what_was_learned(folder):
@@ -105,13 +82,6 @@ def test_constants_of_other_sizes_are_refused_under_way(folder):
     mpc = at.MPC(CAR, profile="road", longest_horizon=40)
     given = Step(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
     assert memory.renew(pack(given, "Step", ROLES, FROM, RESETS).content) == exported.OTHER_SIZES
-
-
-def test_a_state_is_refused_under_other_constants(folder):
-    memory, other = (Memory(made(tuning)[1], folder) for tuning in (None, at.Tuning(20, 5, 1.0, 50.0)))
-    memory.lay()
-    other.lay()
-    assert other.restore(memory.save()) == exported.OTHER_CONSTANTS
 
 
 def hostile(content, rng, count):
@@ -147,11 +117,6 @@ def test_damaged_constants_and_states_change_nothing(folder):
     refuses_damage(folder, 300)
 
 
-@pytest.mark.slow
-def test_ten_thousand_damaged_constants_and_states_change_nothing(folder):
-    refuses_damage(folder, 10_000)
-
-
 def test_another_version_kind_or_memory_is_refused_and_nothing_is_written(folder):
     _, block = made()
     memory = Memory(block, folder)
@@ -170,11 +135,3 @@ def test_another_version_kind_or_memory_is_refused_and_nothing_is_written(folder
     assert memory.renew(block.content) == exported.NOT_READY
     assert memory.restore(bytes(64)) == exported.NOT_READY
     assert (memory.raw == before).all()
-
-
-def test_a_function_of_ones_own_is_refused_by_name():
-    mpc, _ = made()
-    functions = mpc.functions._replace(estimate=2**40 + 7)
-    given = Step(mpc._mpc, functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
-    with pytest.raises(at.InvalidInput, match=r"functions\.estimate is a function of your own"):
-        pack(given, "Step", ROLES)

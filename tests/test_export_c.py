@@ -23,12 +23,9 @@ import exported
 from adaptrack.cli.app import app
 from adaptrack.control.tracker import Tracker
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED, direct
-from adaptrack.core.path import line_in
-from adaptrack.core.tracker.step import tracker_step
+from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.c_library import export_c, own_target
-from adaptrack.export.recorded import record_drive
-from adaptrack.export.tracking import Twin, small_record_of, tracking_block
+from adaptrack.export.tracking import Twin, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
 from programs import find_program
 from references.daqp import Daqp
@@ -271,28 +268,6 @@ def test_every_step_is_that_of_python(name, library_of, way, caplog):
     assert compared(library_of, way, name, 400) == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_thousands_of_steps_are_those_of_python(name, library_of, way, caplog):
-    assert compared(library_of, way, name, EACH, seed=1) == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_ten_drives_are_those_of_python(name, library_of):
-    made, kinds = library_of(name), ("country", "town", "mountain", "motorway", "lap")
-    differ = 0
-    for seed in range(10):
-        road = at.generate_road(kinds[seed % 5], seed=seed, length=500.0)
-        drive = record_drive(made.controller, at.DualTrack(CAR), road, plan_speed(road, CAR), at.load_profile("road"),
-                             seconds=20.0, seed=seed)  # fmt: skip
-        tracker, path = CTracker(made), CPath(made.c, drive.points)
-        assert tracker.follow(path, drive.plan) == exported.OK
-        answers = iter(drive.answers)
-        differ += differing(tracker, lambda _, answers=answers: next(answers), drive.samples)
-    assert differ == 0
-
-
 # -- constants and state ----------------------------------------------------------------------------------------------
 def same_answers(one, other, samples):
     return all(bytes(one.step(sample)[1]) == bytes(other.step(sample)[1]) for sample in samples)
@@ -343,31 +318,6 @@ def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, wa
     assert any(a.command != b.command for a, b in zip(changed, kept, strict=True))
 
 
-def test_the_same_constants_under_way_change_no_bit(library_of, way):
-    made = library_of("learning")
-    one, other, rng = begun(made, way), begun(made, way), np.random.default_rng(3)
-    for sample in calls(rng, 100, way[0]):
-        one.step(sample)
-        other.step(sample)
-    assert one.load(made.constants) == exported.OK
-    assert same_answers(one, other, list(calls(rng, 100, way[0])))
-
-
-def test_damaged_constants_leave_a_driving_tracker_as_it_is(library_of, way):
-    made, rng = library_of("informed"), np.random.default_rng(4)
-    one, other = begun(made, way), begun(made, way)
-    for sample in calls(rng, 20, way[0]):
-        one.step(sample)
-        other.step(sample)
-    for _ in range(200):
-        content = bytearray(made.constants)
-        content[rng.integers(len(content))] ^= int(rng.integers(1, 256))
-        assert one.load(bytes(content)) in (exported.DAMAGED, exported.OTHER_VERSION)
-        assert one.load(made.constants[: rng.integers(len(made.constants))]) == exported.DAMAGED
-    assert one.load(library_of("lqr").constants) == exported.OTHER_KIND
-    assert same_answers(one, other, list(calls(rng, 50, way[0])))
-
-
 def changed(block, place, value, kind="<d"):
     """The constants with another word at a byte, and the checksum of that."""
     content = bytearray(block.content)
@@ -408,29 +358,11 @@ def test_constants_changed_at_random_under_a_right_checksum_neither_crash_nor_ha
     assert set(search_constants(fuzzed("informed"), 100, seed=1)) == {"driven", "refused"}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FUZZED)
-def test_thousands_of_changes_under_a_right_checksum_neither_crash_nor_hang(name, fuzzed):
-    assert set(search_constants(fuzzed(name), 3000, seed=5)) == {"driven", "refused"}
-
-
 @pytest.mark.parametrize("name", ["informed", "stanley", pytest.param("learning", marks=pytest.mark.slow)])
 def test_the_recorded_minute_notices_nine_of_ten_constants_that_are_read(name, fuzzed):
     count, misses = unnoticed(fuzzed(name))
     read = count - list(misses.values()).count(NOT_READ)
     assert count - len(misses) >= 0.9 * read, misses
-
-
-def test_a_lag_that_is_learned_to_be_long_changes_no_bit():
-    """The road ahead is known as far as in Python, where there is room for the longest horizons."""
-    mpc, road = at.MPC(at.vehicle_from_data_sheet("mine", 1450.0, 2.65)), at.generate_road("country", seed=1)
-    drive = record_drive(mpc, at.DualTrack(mpc.vehicle), road, plan_speed(road, mpc.vehicle), at.load_profile("road"))
-    record = small_record_of(mpc, road_through(drive.points), drive.plan)
-    run = direct(tracker_step, record)
-    for sample, answer in zip(drive.samples, drive.answers, strict=True):
-        record.tracker.sample[:] = sample
-        run()
-        assert np.array_equal(record.tracker.tracked, answer, equal_nan=True)
 
 
 # -- calls that are wrong ---------------------------------------------------------------------------------------------
@@ -451,45 +383,12 @@ def test_calls_out_of_order_are_refused(library_of, way):
     assert made.c.adaptrack_state_size(None) == 0
 
 
-def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
-    made = library_of("informed")
-    tracker, path = CTracker(made), made.path(POINTS)
-    tracker.follow(path, way[1])
-    assert tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])[0] == exported.OK
-    path.raw[:8] = 0.0
-    assert tracker.step([0.05, 0.05, 1.5, 0.0, 0.0, 10.0, 0.0])[0] == exported.BAD_PATH
-
-
-def test_a_clock_that_goes_back_repeats_the_command(library_of, way):
-    tracker = begun(library_of("informed"), way)
-    samples = [[0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan] for k in range(20)]
-    answers = [tracker.step(sample)[1] for sample in samples]
-    error, again = tracker.step(samples[12])
-    assert (error, again.status, again.command) == (exported.OK, 8, answers[-1].command)
-    error, never = tracker.step([math.nan] * 10)
-    assert (error, never.status, never.command) == (exported.OK, 9, answers[-1].command)
-
-
-def test_an_angle_that_is_no_number_is_no_beginning(library_of, way):
-    tracker = begun(library_of("informed"), way)
-    assert tracker.engage(math.nan) == exported.BAD_ARGUMENT
-    assert tracker.engage(math.inf) == exported.BAD_ARGUMENT
-    assert tracker.engage(0.1) == exported.OK
-
-
 def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
     tracker = begun(library_of("informed"), way)
     tracker.raw[tracker.MARGIN + 1] |= 1  # as a call that is under way leaves it
     assert tracker.step([0.0] * 7)[0] == exported.BUSY
     assert tracker.load(tracker.constants) == exported.BUSY
     assert tracker.engage() == exported.BUSY
-
-
-def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
-    made = library_of("informed")
-    assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
-        exported.TOO_SMALL, exported.TOO_SMALL
-    ]  # fmt: skip
 
 
 def test_two_threads_on_one_tracker_get_a_command_or_a_refusal(library_of, way):
@@ -521,16 +420,6 @@ def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
     path = CPath(made.c, points, more=100_000)
     assert path.error == exported.BAD_PATH
     assert path.flaw.value == where
-
-
-@pytest.mark.parametrize("offset", [(0.0, 0.0), (-1e-4, 1e-3)])
-def test_a_point_nearer_to_another_than_its_error_is_left_out_as_in_python(library_of, offset):
-    points = np.insert(POINTS, 8, POINTS[7] + np.array(offset), axis=0)
-    exported_path = library_of("informed").path(points)
-    assert exported_path.error == exported.OK
-    line, _ = line_in(exported_path.raw[8:])  # behind the head of a path
-    assert line.pieces.tobytes() == road_through(points).table.pieces.tobytes()
-    assert line.pieces.tobytes() == road_through(POINTS).table.pieces.tobytes()
 
 
 def test_a_plan_that_is_none_is_refused(library_of, way):
@@ -580,31 +469,6 @@ def test_a_file_compiled_without_nan_is_refused_with_the_option_by_name(option, 
         assert "without -Ofast, -ffast-math or -ffinite-math-only" in run.stderr
 
 
-def test_a_program_linked_with_fast_math_says_the_error_by_name(library_of):
-    if os.uname().machine != "x86_64":
-        pytest.skip("gcc switches subnormal numbers off at the start of programs for x86-64")
-    export = library_of("informed")
-    subprocess.run(["make", "-C", str(export.folder), "lib"], check=True, capture_output=True)
-    command = [find_program("gcc"), "-O1", f"-I{export.folder}/include", f"-I{export.folder}", "-c",
-               str(export.folder / "main.c"), "-o", str(export.folder / "main.o")]  # fmt: skip
-    subprocess.run(command, check=True)
-    linked = [find_program("gcc"), "-Ofast", str(export.folder / "main.o"),
-              str(export.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(export.folder / "fast")]  # fmt: skip
-    subprocess.run(linked, check=True)
-    run = subprocess.run([str(export.folder / "fast")], capture_output=True, text=True)
-    assert run.returncode == 2
-    assert run.stdout.startswith("ADAPTRACK_ARITHMETIC, error 11")
-
-
-def test_a_path_of_more_points_than_the_header_says_is_refused(library_of):
-    export = library_of("informed")
-    header = (export.folder / "include" / "adaptrack_config.h").read_text()
-    assert "#define ADAPTRACK_MOST_POINTS 100000 " in header
-    points = np.stack([np.arange(100_001.0), np.zeros(100_001)], axis=-1)
-    path = CPath(export.c, points, more=1000)
-    assert (path.error, path.flaw.value) == (exported.BAD_PATH, 100_001)
-
-
 # -- the folder -------------------------------------------------------------------------------------------------------
 def test_the_library_asks_for_nothing_and_writes_nothing_static(library_of):
     made = library_of("learning")
@@ -618,16 +482,6 @@ def test_the_library_asks_for_nothing_and_writes_nothing_static(library_of):
         subprocess.run([find_program("gcc"), *options, "-c", str(source), "-o", str(found)], check=True)
         sizes = subprocess.run(["size", "-A", str(found)], capture_output=True, text=True, check=True).stdout
         assert all(line.split()[1] == "0" for line in sizes.splitlines() if line.startswith((".data ", ".bss ")))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_make_check_says_that_no_step_differs(name, library_of):
-    made = library_of(name)
-    done = subprocess.run(["make", "-C", str(made.folder), "check"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert " 0 differ" in done.stdout
-    assert "warning" not in done.stderr
 
 
 def test_the_recorded_drive_of_the_folder_does_not_differ(library_of):
@@ -661,16 +515,6 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
     assert subprocess.run([str(tmp_path / "drive")]).returncode == 0
 
 
-@pytest.mark.slow
-def test_cmake_builds_and_proves_it(library_of, tmp_path):
-    find_program("cmake")
-    made = library_of("informed")
-    for command in (["cmake", "-S", str(made.folder), "-B", str(tmp_path)], ["cmake", "--build", str(tmp_path)],
-                    ["ctest", "--test-dir", str(tmp_path)]):  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-
-
 class InPython(at.Controller):
     name = "my own"
     period = 0.05
@@ -694,12 +538,6 @@ def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, said, tm
     assert not (tmp_path / "out").exists()
 
 
-def test_a_target_that_is_not_there_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(at.InvalidInput, match=r"no kernels for 'pdp11'.*make targets"):
-        export_c(CONTROLLERS["lqr"](), tmp_path / "out", targets=["pdp11"])
-    assert not (tmp_path / "out").exists()
-
-
 def test_what_a_controller_has_learned_travels(library_of):
     mpc = CONTROLLERS["learning"]()
     before = tracking_block(mpc)
@@ -713,18 +551,6 @@ def test_what_a_controller_has_learned_travels(library_of):
     first = tracker.MARGIN + 8 + after.words["step.mpc.informed.learned"]
     learned = mpc.learner.again(mpc._mpc.informed.learned[0])
     assert tracker.raw[first : first + learned.size].tobytes() == learned.tobytes()
-
-
-def test_room_is_bounded_by_tuning_and_controller():
-    mpc = CONTROLLERS["informed"]()
-    with pytest.raises(at.InvalidInput, match="room for Np = 1, Nc = 1"):
-        tracking_block(mpc, (1, 1))
-    assert tracking_block(mpc, (60, 20)).memory_size > tracking_block(mpc).memory_size
-
-
-def test_a_recorded_drive_that_fails_is_said(tmp_path):
-    words = ["export", "c", "--vehicle", "midsize-sedan", "--controller", "stanley", "--out", str(tmp_path)]
-    assert "Warning: on the recorded drive, at " in CliRunner().invoke(app, words).output
 
 
 def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
@@ -808,3 +634,28 @@ def _differing_on(target, name, way, place, compiler, emulator):
     found = np.fromfile(place / "answers").reshape(-1, 5)
     same = (found.view(np.int64) == expected.view(np.int64)) | (np.isnan(found) & np.isnan(expected))
     return int(np.sum(~same.all(axis=1)))
+
+
+def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
+    made = library_of("informed")
+    tracker, path = CTracker(made), made.path(POINTS)
+    tracker.follow(path, way[1])
+    assert tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])[0] == exported.OK
+    path.raw[:8] = 0.0
+    assert tracker.step([0.05, 0.05, 1.5, 0.0, 0.0, 10.0, 0.0])[0] == exported.BAD_PATH
+
+
+def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
+    made = library_of("informed")
+    assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
+        exported.TOO_SMALL, exported.TOO_SMALL
+    ]  # fmt: skip
+
+
+def test_a_path_of_more_points_than_the_header_says_is_refused(library_of):
+    export = library_of("informed")
+    header = (export.folder / "include" / "adaptrack_config.h").read_text()
+    assert "#define ADAPTRACK_MOST_POINTS 100000 " in header
+    points = np.stack([np.arange(100_001.0), np.zeros(100_001)], axis=-1)
+    path = CPath(export.c, points, more=1000)
+    assert (path.error, path.flaw.value) == (exported.BAD_PATH, 100_001)

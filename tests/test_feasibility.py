@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from adaptrack import MPC, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc
+from adaptrack import MPC, DualTrack, InvalidInput, load_vehicle, published_mpc
 from adaptrack.analysis.certify import certify
-from adaptrack.analysis.feasibility import Feasibility, FeasibleRanges, feasibility, largest_box
+from adaptrack.analysis.feasibility import feasibility, largest_box
 from adaptrack.analysis.linearisation import Mismatch, laws, linear_plants, sampled
 from adaptrack.analysis.stability import hard_turn, modulus_margin
 from adaptrack.scenario.profile import load_profile
@@ -41,10 +41,6 @@ def test_the_largest_box_is_that_of_looking_at_all(seed):
         return
     assert ok[found].all(axis=(0, 1)).any()
     assert ok[found][:, :, 0].size == max(every_box(ok))
-
-
-def test_where_nothing_is_true_there_is_no_box():
-    assert largest_box(np.zeros((3, 2, 4), dtype=bool)) is None
 
 
 @pytest.fixture(scope="module")
@@ -121,25 +117,6 @@ def test_mismatches_count_as_further_cars():
     by = [modulus_margin(plant(22.0, 0.6), law)[0] for plant in linear_plants(PLANT, 0.05, "road", None, [late])]
     assert alone.margins[-1, 0, 0] == pytest.approx(by[0], abs=0.01)
     assert both.margins[-1, 0, 0] == pytest.approx(min(by), abs=0.01)
-
-
-def test_the_summary_is_json_and_says_the_best_tuning_of_each_place(demanding):
-    told = json.loads(json.dumps(demanding.summary(), allow_nan=False))
-    assert (told["passed"], told["verdict"], told["margin"]) == (False, demanding.verdict, 0.3)
-    assert len(told["rows"]) == demanding.held.size
-    for row in told["rows"]:
-        assert row["held"] is (row["modulus_margin"] >= 0.3)
-    assert FeasibleRanges(*map(tuple, told["domain"].values())) == demanding.domain
-
-
-def test_neighbours_are_told_as_a_range():
-    margins = np.full((5, 2, 1), 0.5)
-    margins[[0, 1, 4], 0, 0] = 0.0
-    found = Feasibility(np.arange(1.0, 6.0), np.array([0.3, 1.0]), np.array([[30.0, 5.0, 1.0, 10.0]]), margins)
-    assert "at 3 of 10 points of 1 to 5 m/s on friction 0.3 to 1: 1 to 2, 5 m/s on friction 0.3." in found.verdict
-    assert found.domain == FeasibleRanges((1.0, 5.0), (1.0, 1.0))
-    assert str(found.domain) == "1 to 5 m/s on friction 1"
-    assert found.constant == (Tuning(30, 5, 1.0, 10.0), found.domain)
 
 
 @pytest.mark.parametrize(

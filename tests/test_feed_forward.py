@@ -9,12 +9,10 @@ import pytest
 
 from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, Tuning, published_mpc
-from adaptrack.control.models import PathModel, SingleTrackModel
+from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.control.models import PathModel
 from adaptrack.core.controllers.feed_forward import (
-    FURTHEST,
     FeedForward,
-    Turning,
     bend_size,
     feed_forward_sizes,
     road_moves,
@@ -30,7 +28,6 @@ pytestmark = pytest.mark.kernels
 CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 PERIOD = 0.05
 STRAIGHT = Road.from_segments([Line(length=500.0)], name="straight")
-CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
 
 
 def winding(count):
@@ -71,11 +68,6 @@ def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_roa
     asked, driven = np.diff(bend[: count + 1], 2) / PERIOD**2, np.diff(y, 2) / PERIOD**2
     shift = driven[40:].mean() - asked[40:].mean()  # the angle before the first move
     np.testing.assert_allclose(driven[40:] - shift, asked[40:], atol=0.1)
-
-
-def test_a_steady_bend_asks_for_no_more_moves():
-    bend = RoadAhead(CIRCLE, 0.0, [12.0]).bend(60, 12.0, 0.0, PERIOD)
-    np.testing.assert_allclose(moves_of(PathModel(CAR, PERIOD, 0.1), 12.0, bend, 30), 0.0, atol=1e-9)
 
 
 def test_a_clothoid_asks_for_the_steady_angle_of_its_growing_curvature():
@@ -126,13 +118,6 @@ def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
     assert np.flatnonzero(slow)[0] < np.flatnonzero(free)[0]
 
 
-def test_a_lag_without_end_looks_no_farther_than_there_is_to_see():
-    model = PathModel(CAR, PERIOD, 0.3)
-    assert bend_size(30, PERIOD, len(turning_of(model)), 0.3) >= 31 + (0.3 + FURTHEST) / PERIOD
-    assert bend_size(30, PERIOD, 0, 0.0) == 31
-    assert len(Turning._fields) == MPC(CAR, profile="road")._mpc.feed.turning.size
-
-
 def test_a_straight_road_gives_the_problem_of_none():
     state, reference = [0.1, 0.01, 0.02, 0.3, 0.01], np.linspace(0.0, 1.0, 40)
     plain = MPC(CAR, profile="road").problem(state, 15.0, reference)
@@ -155,11 +140,6 @@ def test_limits_hold_for_the_whole_move_of_a_bend():
     np.testing.assert_allclose(problem.gamma[5::4], most + feed[1 : problem.gamma.size // 4], atol=1e-12)
     room = mpc.limits.angle[1] - np.cumsum(feed[: problem.gamma.size // 4])
     np.testing.assert_allclose(problem.gamma[2::4], room, atol=1e-12)
-
-
-def test_the_published_model_knows_of_no_road_ahead():
-    assert SingleTrackModel(CAR, PERIOD).turning().size == 0
-    assert published_mpc(CAR)._mpc.feed.turning.size == 0
 
 
 @pytest.mark.compiled

@@ -134,9 +134,3 @@ def test_on_a_circle_the_predicted_path_is_the_circle():
     assert np.abs(radius - 60.0).max() < 0.05
     along = np.hypot(*np.diff(points, axis=0).T)
     assert np.allclose(along, 10.0 * run.settings.period, rtol=0.01)
-
-
-def test_control_laws_predict_nothing():
-    _, predicted, moves = shown(*run_of(at.Stanley(CAR), at.load_scenario("double-lane-change")), [30])
-    assert np.isnan(predicted).all()
-    assert np.isnan(moves).all()

@@ -1,6 +1,5 @@
 """What a controller holds bounds the plan, which names its limits and begins at a speed that the power holds."""
 
-import itertools
 import math
 
 import numpy as np
@@ -11,12 +10,12 @@ from adaptrack.analysis.holdable import borne, holdable_speed, top_speed
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import GRAVITY, load_vehicle
-from adaptrack.control.controllers import MPC, Stanley, published_mpc
+from adaptrack.control.controllers import MPC, Stanley
 from adaptrack.control.controllers.learned import Learning
 from adaptrack.drive.simulate import rollout
-from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
 from adaptrack.road.holdable import HoldableSpeed, load_holdable
-from adaptrack.road.speed import Limit, constant_speed
+from adaptrack.road.speed import Limit
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant_file import ConstantTuning, load_tuning
@@ -92,11 +91,6 @@ def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(
     assert dead_time > 0.1
     at = np.array([20.0, 40.0, 55.0])
     assert (slow.deceleration(at, 0.0, 0.9) <= known.deceleration(at, 0.0, 0.9) + 1e-9).all()
-
-
-def test_the_published_controller_has_a_table_too(coarse):
-    held = coarse(published_mpc(CAR, period=0.05), "road")
-    assert np.isfinite(np.array(held.braking)).all()
 
 
 def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
@@ -191,13 +185,3 @@ def test_a_plan_names_what_bounds_it(road, options, limit):
     plan = plan_speed(road, CAR, options.pop("comfort", Comfort()), **options)
     assert next(iter(plan.shares)) == limit
     assert plan.shares[limit] > 0.5
-
-
-def test_the_limits_cover_the_whole_road_once():
-    road = generate_road("mountain", seed=1, length=1200.0, friction=([0.0, 500.0, 501.0], [0.9, 0.9, 0.3]))
-    plan = plan_speed(road, CAR, Comfort(lateral=4.0, jerk=2.0), stops=[Stop(300.0, 2.0)], end=0.0, holds=TABLE)
-    found = plan.stretches
-    assert (found[0].start, found[-1].end) == (0.0, road.length)
-    assert all(one.end == other.start and one.limit != other.limit for one, other in itertools.pairwise(found))
-    assert sum(plan.shares.values()) == pytest.approx(1.0)
-    assert constant_speed(road, 10.0).stretches == []

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
+from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, load_vehicle
 from adaptrack.core.plants.contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
 from adaptrack.core.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
-from adaptrack.core.plants.user import ACTUATOR, compile_plant
+from adaptrack.core.plants.user import compile_plant
 from adaptrack.scenario.profile import load_profile
 from references import vehicle as reference
 
@@ -70,15 +70,6 @@ def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law,
 
 
 @every_plant
-def test_two_short_rides_are_one_long_one(plant, rng):
-    car = plant(CAR, steering=ROAD)
-    rows, members = crowd(rng, car), np.arange(5)
-    twice = rows.copy()
-    twice[:, :5] = advanced(car, rows, members, 5)
-    assert np.array_equal(advanced(car, twice, members, 7), advanced(car, rows, members, 12), equal_nan=True)
-
-
-@every_plant
 def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
     car = plant(CAR, steering=ROAD)
     rows = crowd(rng, car)
@@ -113,18 +104,6 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
 
 
 # -- a user's plant ---------------------------------------------------------------------------------------------------
-def copy_of_the_single_track(x, u, environment, p, dx):
-    """Eq. (6) with wind left out: m, I_z, l_f, l_r, C_f, C_r."""
-    speed = max(x[3], 1.0)
-    slip_f = u[0] - np.arctan((x[4] + p[2] * x[5]) / speed)
-    slip_r = -np.arctan((x[4] - p[3] * x[5]) / speed)
-    front, rear = 2.0 * p[4] * slip_f, 2.0 * p[5] * slip_r
-    dx[0] = x[3] * np.cos(x[2]) - x[4] * np.sin(x[2])
-    dx[1] = x[3] * np.sin(x[2]) + x[4] * np.cos(x[2])
-    dx[2] = x[5]
-    dx[3] = u[1] / p[0] + x[4] * x[5]
-    dx[4] = (front + rear) / p[0] - x[3] * x[5]
-    dx[5] = (p[2] * front - p[3] * rear) / p[1]
 
 
 def custom_ride(function, parameters, steering, start, inputs, substeps, h, own=6):
@@ -136,24 +115,6 @@ def custom_ride(function, parameters, steering, start, inputs, substeps, h, own=
     batch.states[:, :6] = start[:6]
     compile_plant(function).advance(batch.member, packed, batch.block, batch.states, batch.work, 3, substeps, h)
     return rows[:, 0].copy(), batch.states
-
-
-@pytest.mark.parametrize("steering", [SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
-@pytest.mark.parametrize("acceleration", [np.nan, 0.8], ids=["driven", "prescribed"])
-def test_a_users_plant_is_integrated_as_the_built_in_ones_are(steering, acceleration):
-    tyre = LAWS[LINEAR].replace(stiffness_load="constant", relaxation_length=0.0)
-    car = SingleTrack(CAR.replace(frontal_area=0.0, rolling_resistance=0.0), tyre, steering)
-    start = np.array([1.0, 2.0, 0.2, 12.0, 0.3, -0.1])
-    inputs = np.array([0.4, 800.0, acceleration, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    parameters = (CAR.mass, CAR.yaw_inertia, CAR.lf, CAR.lr, 19000.0, 33000.0)
-    own, states = custom_ride(copy_of_the_single_track, parameters, steering, start, inputs, 40, 0.01)
-    rows = np.zeros((STATES + INPUTS, SLOTS))
-    rows[:6], rows[STATES:] = start[:, None], inputs[:, None]
-    built_in = advanced(car, rows, np.arange(1), 40, 0.01)[:, 0]
-    np.testing.assert_allclose(own[:6], built_in[:6], rtol=1e-11, atol=1e-11)
-    np.testing.assert_allclose(states[0], built_in[:6], rtol=1e-11, atol=1e-11)
-    if steering is ROAD:
-        assert own[12] == pytest.approx(built_in[12], rel=1e-12)
 
 
 def pendulum_beside_the_car(x, u, environment, p, dx):
@@ -175,13 +136,6 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     assert states[0, 0] == pytest.approx(10.0, rel=1e-12)
     assert np.array_equal(states[0], states[2])  # the third of three slots
     assert (states[3:, 6:] == 0.0).all()  # nobody asked for the fourth
-
-
-def test_a_users_plant_packs_its_own_parameters_behind_those_of_the_steering():
-    plant = UserPlant(pendulum_beside_the_car, {"omega": 1.0}, mass=1000.0, own_states=("angle", "rate"))
-    assert plant.packed().tolist() == [0.0, np.inf, np.pi / 2, 1.0]
-    behind = plant.with_steering(SteeringActuator(lag=0.3, rate=0.4, limit=0.5)).packed()
-    assert [behind[ACTUATOR.lag], behind[ACTUATOR.rate], behind[ACTUATOR.limit]] == [0.3, 0.4, 0.5]
 
 
 @every_plant

@@ -230,9 +230,3 @@ def test_a_gap_of_the_pose_holds_the_command_and_keeps_the_wheel_angle_going():
 def test_what_makes_no_controller_is_refused(options, said):
     with pytest.raises(InvalidInput, match=said):
         made(**options)
-
-
-def test_it_believes_the_car_file_as_the_informed_controller_does():
-    controller, informed = KinematicMPC(CAR, profile="production"), at.MPC(CAR, profile="production")
-    assert controller.belief == informed.belief
-    assert (controller.period, controller.preview, controller.pose_age) == (0.05, True, 0.1)

@@ -1,6 +1,6 @@
 """The prediction model is the paper's, equation by equation, in its readable and in its compiled form."""
 
-import inspect
+import itertools
 import math
 
 import numpy as np
@@ -14,7 +14,6 @@ from adaptrack.control.models import (
     SingleTrackModel,
     check_model,
     get_model,
-    laguerre_basis,
     limit_bounds,
     limit_matrix,
     list_models,
@@ -22,7 +21,6 @@ from adaptrack.control.models import (
 )
 from adaptrack.core.controllers import condensing
 from adaptrack.core.models import single_track as kernel
-from inlined import entry
 from references import mpc as reference
 
 pytestmark = pytest.mark.kernels
@@ -32,7 +30,7 @@ SPEEDS = (0.5, 1.0, 3.0, 7.3, 15.0, 27.0, 41.7, 60.0)
 STRIDE = 64  # row length of the compiled form's arrays, a multiple of 8
 
 every_car = pytest.mark.parametrize("car", CARS.values(), ids=CARS)
-every_speed = pytest.mark.parametrize("speed", SPEEDS)
+GRID = [(car, speed) for car in CARS.values() for speed in SPEEDS]
 
 
 def close(computed, expected, tolerance):
@@ -57,18 +55,17 @@ def compiled(model, speed, Np):
 
 
 # -- eqs. (7), (8): the model -----------------------------------------------------------------------------------------
-@every_car
-@every_speed
-def test_the_continuous_model_is_the_linearised_plant(car, speed):
-    a, b, c = SingleTrackModel(car).continuous(speed)
-    expected_a, expected_b = reference.continuous(car, speed)
-    close(a, expected_a, 1e-14)
-    close(b[:, 0], expected_b, 1e-14)
-    assert c.tolist() == [[0, 0, 0, 1]]
-    compiled_a, compiled_b = np.empty((4, 4)), np.empty(4)
-    kernel.linearise(speed, SingleTrackModel(car).parameters(), compiled_a, compiled_b)
-    np.testing.assert_allclose(compiled_a, a, rtol=1e-14)
-    np.testing.assert_allclose(compiled_b, b[:, 0], rtol=1e-14)
+def test_the_continuous_model_is_the_linearised_plant():
+    for car, speed in GRID:
+        a, b, c = SingleTrackModel(car).continuous(speed)
+        expected_a, expected_b = reference.continuous(car, speed)
+        close(a, expected_a, 1e-14)
+        close(b[:, 0], expected_b, 1e-14)
+        assert c.tolist() == [[0, 0, 0, 1]]
+        compiled_a, compiled_b = np.empty((4, 4)), np.empty(4)
+        kernel.linearise(speed, SingleTrackModel(car).parameters(), compiled_a, compiled_b)
+        np.testing.assert_allclose(compiled_a, a, rtol=1e-14)
+        np.testing.assert_allclose(compiled_b, b[:, 0], rtol=1e-14)
 
 
 def test_the_continuous_model_has_the_papers_numbers():
@@ -80,14 +77,12 @@ def test_the_continuous_model_has_the_papers_numbers():
     assert b[:, 0] == pytest.approx([2 * 19000 / 1575, 0, 2 * 19000 * 1.2 / 2875, 0])
 
 
-@every_car
-@every_speed
-@pytest.mark.parametrize("period", [0.01, 0.05, 0.1, 0.5])
-def test_zero_order_hold_equals_the_matrix_exponential(car, speed, period):
-    a, b, _ = SingleTrackModel(car, period).discrete(speed)
-    expected_a, expected_b = reference.discrete(car, speed, period)
-    close(a, expected_a, 1e-12)
-    close(b[:, 0], expected_b, 1e-12)
+def test_zero_order_hold_equals_the_matrix_exponential():
+    for (car, speed), period in itertools.product(GRID, (0.01, 0.05, 0.1, 0.5)):
+        a, b, _ = SingleTrackModel(car, period).discrete(speed)
+        expected_a, expected_b = reference.discrete(car, speed, period)
+        close(a, expected_a, 1e-12)
+        close(b[:, 0], expected_b, 1e-12)
 
 
 @every_car
@@ -100,46 +95,27 @@ def test_holding_twice_for_half_the_period_is_holding_once(car):
 
 
 # -- eqs. (9), (10): augmentation, F and Phi --------------------------------------------------------------------------
-@every_car
-@every_speed
-def test_the_augmented_model_moves_as_the_plain_one(car, speed, rng):
-    model = SingleTrackModel(car)
-    a, b, c = model.augmented(speed)
-    before, now = rng.normal(size=(2, 4))
-    moves = rng.normal(size=20)
-    x = np.append(now - before, now[3])
-    plain = reference.outputs(car, speed, model.period, before, now, moves)
-    outputs = []
-    for move in moves:
-        x = a @ x + b[:, 0] * move
-        outputs.append((c @ x).item())
-    close(outputs, plain, 1e-12)
+def test_F_and_Phi_equal_the_simulated_model(rng):
+    for (car, speed), (Np, Nc) in itertools.product(GRID, [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)]):
+        model = SingleTrackModel(car)
+        free, phi = model.prediction(speed, Np, Nc)
+        before, now, moves = rng.normal(size=4), rng.normal(size=4), np.zeros(Np)
+        moves[:Nc] = rng.normal(size=Nc)
+        simulated = reference.outputs(car, speed, model.period, before, now, moves)
+        close(free @ np.append(now - before, now[3]) + phi @ moves[:Nc], simulated, 1e-10)
 
 
-@every_car
-@every_speed
-@pytest.mark.parametrize(("Np", "Nc"), [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)])
-def test_F_and_Phi_equal_the_simulated_model(car, speed, Np, Nc, rng):
-    model = SingleTrackModel(car)
-    free, phi = model.prediction(speed, Np, Nc)
-    before, now, moves = rng.normal(size=4), rng.normal(size=4), np.zeros(Np)
-    moves[:Nc] = rng.normal(size=Nc)
-    simulated = reference.outputs(car, speed, model.period, before, now, moves)
-    close(free @ np.append(now - before, now[3]) + phi @ moves[:Nc], simulated, 1e-10)
-
-
-@every_car
-@every_speed
-def test_the_compiled_responses_are_F_and_Phi(car, speed):
-    model, Np = SingleTrackModel(car), 55
-    free, phi = model.prediction(speed, Np, Np)
-    compiled_free, step = compiled(model, speed, Np)
-    close(compiled_free, free[:, :4], 1e-12)
-    close(step, phi[:, 0], 1e-12)
-    assert (free[:, 4] == 1.0).all()
-    for column in range(Np):  # each column of Phi is the first, shifted
-        assert np.array_equal(phi[column:, column], phi[: Np - column, 0])
-        assert (phi[:column, column] == 0.0).all()
+def test_the_compiled_responses_are_F_and_Phi():
+    Np = 55
+    for car, speed in GRID:
+        free, phi = SingleTrackModel(car).prediction(speed, Np, Np)
+        compiled_free, step = compiled(SingleTrackModel(car), speed, Np)
+        close(compiled_free, free[:, :4], 1e-12)
+        close(step, phi[:, 0], 1e-12)
+        assert (free[:, 4] == 1.0).all()
+        for column in range(Np):  # each column of Phi is the first, shifted
+            assert np.array_equal(phi[column:, column], phi[: Np - column, 0])
+            assert (phi[:column, column] == 0.0).all()
 
 
 # -- eqs. (11), (17): the cost ----------------------------------------------------------------------------------------
@@ -198,10 +174,6 @@ def test_laguerre_functions_are_orthonormal(pole, samples):
     close(functions.T @ functions, np.eye(10), 1e-12)
 
 
-def test_the_public_basis_is_that_of_the_kernel():
-    assert np.array_equal(laguerre_basis(40, 6, 0.75), laguerre(40, 6, 0.75))
-
-
 def test_laguerre_functions_with_pole_zero_are_the_pulses():
     assert np.array_equal(laguerre(30, 8, 0.0), np.eye(30)[:, :8])
 
@@ -241,64 +213,18 @@ def test_limit_rows_bound_each_move_and_each_angle(rng):
         assert (M @ moves <= gamma).all() == inside
 
 
-def test_the_rows_of_a_shorter_control_horizon_lead_those_of_a_longer_one():
-    assert np.array_equal(limit_matrix(9)[: 4 * 5, :5], limit_matrix(5))
-
-
-# -- documents and refusals -------------------------------------------------------------------------------------------
-EQUATIONS = {
-    SingleTrackModel.continuous: 7,
-    PredictionModel.discrete: 8,
-    PredictionModel.augmented: 9,
-    PredictionModel.prediction: 10,
-    PredictionModel.cost: 11,
-    PredictionModel.quadratic: 17,
-    limit_matrix: 16,
-    limit_bounds: 16,
-    kernel.linearise: 7,
-    kernel.discretise: 8,
-    condensing.responses: 10,
-    condensing.pulse_hessian: 17,
-    condensing.pulse_gradient: 17,
-}
-
-
-@pytest.mark.parametrize("function", EQUATIONS, ids=lambda function: function.__qualname__)
-def test_every_function_names_its_equation_of_the_paper(function):
-    assert f"({EQUATIONS[function]})" in inspect.getdoc(getattr(function, "py_func", function)).split("\n")[0]
-
-
-def test_the_parameters_follow_the_kernels_order():
-    packed = SingleTrackModel(CARS["paper"]).parameters()
-    assert entry(kernel.unpack)(packed)._asdict() == {
-        "mass": 1575, "yaw_inertia": 2875, "lf": 1.2, "lr": 1.6, "stiffness_front": 19000, "stiffness_rear": 33000
-    }  # fmt: skip
-
-
-@pytest.mark.parametrize("speed", [0.0, -3.0, math.nan, math.inf])
-def test_a_speed_without_a_model_is_refused(speed):
+# -- refusals ---------------------------------------------------------------------------------------------------------
+def test_what_makes_no_model_is_refused():
     model = SingleTrackModel(CARS["paper"])
-    for method in (model.continuous, model.discrete, model.augmented):
-        with pytest.raises(InvalidInput, match="speed = "):
-            method(speed)
-
-
-@pytest.mark.parametrize("period", [0.0, -0.1, math.nan, math.inf])
-def test_a_period_that_is_no_time_is_refused(period):
-    with pytest.raises(InvalidInput, match="period = "):
-        SingleTrackModel(CARS["paper"], period)
-
-
-@pytest.mark.parametrize(("Np", "Nc"), [(0, 0), (5, 6), (5, 0), (-1, -1)])
-def test_horizons_out_of_order_are_refused(Np, Nc):
-    with pytest.raises(InvalidInput, match="1 <= Nc <= Np"):
-        SingleTrackModel(CARS["paper"]).prediction(10.0, Np, Nc)
-
-
-def test_the_public_objects_of_the_module_are_documented():
-    for name, value in vars(models).items():
-        if getattr(value, "__module__", None) == models.__name__:
-            assert inspect.getdoc(value), name
+    for value in (0.0, -3.0, math.nan, math.inf):
+        for method in (model.continuous, model.discrete, model.augmented):
+            with pytest.raises(InvalidInput, match="speed = "):
+                method(value)
+        with pytest.raises(InvalidInput, match="period = "):
+            SingleTrackModel(CARS["paper"], value)
+    for Np, Nc in [(0, 0), (5, 6), (5, 0), (-1, -1)]:
+        with pytest.raises(InvalidInput, match="1 <= Nc <= Np"):
+            model.prediction(10.0, Np, Nc)
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
@@ -316,10 +242,9 @@ def test_a_model_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
 
 
 # -- the checker ------------------------------------------------------------------------------------------------------
-@every_car
-@pytest.mark.parametrize("period", [0.02, 0.1, 0.25])
-def test_ours_is_admitted(car, period):
-    check_model(SingleTrackModel(car, period))
+def test_ours_is_admitted():
+    for car, period in itertools.product(CARS.values(), (0.02, 0.1, 0.25)):
+        check_model(SingleTrackModel(car, period))
 
 
 @PredictionModel.register

@@ -5,10 +5,8 @@ import os
 import sys
 
 import pytest
-from rich.console import Console
 
 from adaptrack import cli
-from adaptrack.cli import show
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant
 from adaptrack.drive.trajectory import Trajectory
@@ -85,14 +83,6 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
     assert len(list(tmp_path.glob("*-tracking.png"))) == 3
 
 
-def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    runs = [Run(drive(n=40, seed=seed), label="x" * 200 + str(seed)) for seed in (1, 2)]
-    text = write_drive_page(tmp_path, runs).read_text(encoding="utf-8")
-    assert "… no. 1" in text
-    assert "… no. 2" in text
-
-
 def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):
     code, _, err = command("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
     assert code == 0, err
@@ -108,9 +98,3 @@ def test_a_name_that_is_no_text_is_refused_with_file_and_key(command, tmp_path, 
     assert code == 2
     assert "scenario.toml: name = " in err
     assert os.listdir(tmp_path) == ["scenario.toml"]
-
-
-def test_tables_print_what_is_in_them(capsys, monkeypatch):
-    monkeypatch.setattr(Console, "width", 400)
-    show.table("[/red]", [show.Column("name", "[/red]")], [{"name": name} for name in NASTY.values()])
-    assert "[/red] [bold]x" in capsys.readouterr().out

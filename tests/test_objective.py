@@ -69,14 +69,6 @@ def test_the_cost_of_a_tuning_does_not_depend_on_its_company():
     np.testing.assert_array_equal(together[order], target.costs(HERE, tunings[order]))
 
 
-def test_the_mirrored_operating_point_costs_the_same():
-    speed, y_ref, friction, wind = HERE
-    target = objective(duration=6.0)
-    tunings = [(30, 5, 1.0, 30.0), (25, 2, 1.0, 1.0)]
-    mirrored = target.costs((speed, -y_ref, friction, -wind), tunings)
-    np.testing.assert_allclose(mirrored, target.costs(HERE, tunings), rtol=1e-7)
-
-
 def test_by_decades_the_swarm_reaches_weights_that_a_linear_search_hardly_draws():
     wide = {"names": ("Np", "Nc", "Q", "R"), "low": (5.0, 1.0, 1.0, 1e-3), "high": (55.0, 18.0, 1.0, 1e6)}
     space = at.SearchSpace(**wide, whole=("Np", "Nc"), ordered=("Nc", "Np"), decades=("R",))

@@ -11,7 +11,7 @@ import pytest
 import adaptrack as at
 import page_drives
 from adaptrack import cli
-from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
+from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from browsers import BROWSERS, Chromium
@@ -19,7 +19,6 @@ from pages import READY, STATE, differing, drive, exported, served
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
-CHROMIUM = pytest.mark.needs("chromium")
 
 
 @pytest.fixture(scope="module")
@@ -124,17 +123,6 @@ def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
     code, _, said = run_command(monkeypatch, capsys, "--out", tmp_path)
     assert code == 2
     assert "is a folder; name a file" in said
-
-
-def test_a_file_below_a_file_is_refused_by_name(tmp_path):
-    (tmp_path / "taken").write_text("")
-    with pytest.raises(StorageError, match="taken"):
-        at.export_page(tmp_path / "taken" / "drive.html")
-
-
-def test_names_are_refused_by_their_own_kind(tmp_path):
-    with pytest.raises(UnknownName):
-        at.export_page(tmp_path / "drive.html", road="moon")
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------

@@ -315,16 +315,3 @@ def test_all_sliders_at_their_ends_neither_hang_nor_fail(ask):
     answers = ask(*messages)
     assert refused(answers) == []
     assert sum(each["type"] == "frames" for each in answers) == len([*ends, *tunings, *beliefs])
-
-
-@pytest.mark.slow
-def test_setting_up_again_and_again_takes_no_more_memory(ask):
-    again = [message for _ in range(30) for message in (
-        {"type": "start", "id": 1, "setup": page_drives.SETUPS["late samples"]}, advanced(50),
-        changed({"belief": {"lag": 0.2, "dead_time": 0.1}}), advanced(5))]  # fmt: skip
-    used = [
-        each["bytes"]
-        for each in ask(*again, {"type": "memory"}, *again[:4], {"type": "memory"})
-        if each["type"] == "memory"
-    ]
-    assert used[0] == used[1] < 20e6

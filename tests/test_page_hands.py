@@ -50,11 +50,6 @@ def choose(page, name, value):
              f"(document.getElementById('{name}'))")  # fmt: skip
 
 
-def slide(page, name, value):
-    page.run(f"(each => {{ each.value = {value}; each.dispatchEvent(new Event('input', {{bubbles: true}})); }})"
-             f"(document.getElementById('touch-{name}'))")  # fmt: skip
-
-
 def drive(page, periods):
     """Goes on to the newest instant; the cars."""
     page.run(f"adaptrackPage.advance({periods})")
@@ -81,14 +76,6 @@ def test_a_lesson_sets_the_page_and_ticks_itself_when_it_was_done(chromium, file
     shown.wait("location.hash.startsWith('#car=')", 5)  # no longer as the lesson set it
 
 
-def test_every_lesson_opens_and_has_one_thing_to_do(shown):
-    for name in shown.run("[...document.querySelectorAll('[data-lesson]')].map(each => each.dataset.lesson)"):
-        click(shown, f"lesson-link-{name}")
-        shown.wait(f"location.hash === '#lesson={name}' && {STATE}.cars[0]?.count > 0", 10)
-        assert shown.run("document.getElementById('lesson-do').checkVisibility()")
-    assert shown.said() == []
-
-
 # -- touches ----------------------------------------------------------------------------------------------------------
 def test_each_touch_is_an_event_in_words(shown):
     before = drive(shown, 60)[0]["most"]
@@ -113,21 +100,6 @@ def test_a_car_that_is_dragged_is_pushed(shown):
     assert "pushed to the left" in shown.run(STATE)["events"][0]["text"]
 
 
-def test_who_is_told_believes_what_is_true(shown):
-    click(shown, "told")
-    slide(shown, "lag", 0.5)
-    shown.wait(f"{STATE}.setup.controllers[0].belief?.lag === 0.5", 5)
-    shown.wait(f"!{STATE}.touching", 5)
-    assert drive(shown, 200)[0]["most"] < 0.1
-
-
-def test_a_new_drive_goes_on_while_it_plays(shown):
-    shown.run("adaptrackPage.play()")
-    for seed in range(4):
-        shown.run(f"adaptrackPage.start({{...{STATE}.setup, seed: {seed}}})")
-        shown.wait(f"{STATE}.cars[0].count > 8", 10)
-
-
 # -- a road of one's own ----------------------------------------------------------------------------------------------
 def test_a_road_is_drawn_with_the_pointer_and_with_keys(shown):
     choose(shown, "setup-road", "draw")
@@ -148,16 +120,6 @@ def test_a_road_is_drawn_with_the_pointer_and_with_keys(shown):
     assert shown.run(STATE)["notice"] == ""
 
 
-# -- the question of a new user ---------------------------------------------------------------------------------------
-@pytest.mark.slow
-def test_one_click_says_how_much_lag_the_controller_bears(shown):
-    click(shown, "sweep")
-    shown.wait("/bears/.test(document.getElementById('sweep-words').textContent)", 120)
-    said = shown.run("document.getElementById('sweep-words').textContent")
-    assert "bears 0.3" in said  # s, of a controller that believes 0.15 s
-    assert shown.run("document.querySelectorAll('#sweep-plot circle, #sweep-plot path').length") >= 6
-
-
 # -- mishaps ----------------------------------------------------------------------------------------------------------
 def test_a_worker_that_dies_is_begun_anew_with_a_sentence(shown):
     shown.run("adaptrackPage.page.engine.die('a test')")
@@ -173,12 +135,6 @@ def test_a_car_that_leaves_the_road_says_what_helps(shown):
 
 
 # -- in words, and out again ------------------------------------------------------------------------------------------
-def test_what_is_shown_is_said_when_asked(shown):
-    drive(shown, 100)
-    click(shown, "say")
-    said = shown.run("document.getElementById('said').textContent")
-    for word in ("Midsize sedan on a mountain road", "on its line", "m/s", "RMS error"):
-        assert word in said
 
 
 def test_the_drive_is_saved_as_csv(shown):

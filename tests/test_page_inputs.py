@@ -14,15 +14,12 @@ import pytest
 
 import adaptrack as at
 from adaptrack import cli
-from adaptrack.base.errors import ConfigError
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-from adaptrack.cars.vehicle import Tyre, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
 from adaptrack.core import path
-from adaptrack.core.plants import tyre as tyre_laws
 from adaptrack.core.synthesis import car as cars
-from adaptrack.core.synthesis import plant
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car, tyre_numbers
+from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car
 from adaptrack.identification.reading import ALIASES, Reading, read_columns
 from programs import find_program
 
@@ -122,17 +119,6 @@ def test_random_bytes_and_torn_files_are_refused_in_words_and_soon():
 
 
 # -- what kernels judge -----------------------------------------------------------------------------------------------
-def test_choices_are_numbered_as_kernels_number_them():
-    words = {each["key"]: each.get("words") for each in GIVEN["sections"]["tyre"]}
-    assert words["kind"].index("linear") == 1
-    assert [words["stiffness_load"].index(each) for each in ("constant", "linear", "digressive")] == [
-        plant.CONSTANT, plant.LINEAR, plant.DIGRESSIVE,
-    ]  # fmt: skip
-    assert plant.plant_law(load_tyre("constant-stiffness").numbers) == tyre_laws.LINEAR
-    assert set(tyre_numbers(load_tyre("van"))) == set(plant.Tyre._fields)
-    named = {each["row"] for each in GIVEN["sections"]["tyre"] if each["kind"] in ("number", "choice")}
-    assert named == set(plant.Tyre._fields)
-    assert {each["key"] for each in GIVEN["sections"]["tyre"]} == set(Tyre.model_fields)
 
 
 def test_a_page_is_given_plain_data_with_the_range_of_every_number():
@@ -190,15 +176,6 @@ def test_a_wrong_sheet_is_refused_in_words():
     for (_, words), answer in zip(WRONG_SHEETS, answers, strict=True):
         assert words in answer["error"]
         is_refused_in_words(answer)
-
-
-@needs_node
-def test_what_complete_car_answers_is_said():
-    sheet = {"mass": 1500, "wheelbase": 2.7, "load": 2000}
-    answers = [each["value"] for each in asked([("sheetFlaw", [status, sheet], []) for status in range(5)])]
-    assert answers[0] is None
-    assert all(each.endswith(".") for each in answers[1:])
-    assert "load = 2000 kg" in answers[cars.TOO_MUCH_LOAD]
 
 
 # -- points of a road -------------------------------------------------------------------------------------------------
@@ -277,20 +254,6 @@ HEADERS = {
 """Files of points: None for those that hold `XY`; of the others the line that is refused, and words of the sentence."""
 
 
-def test_python_takes_a_commented_line_of_names_for_the_header(tmp_path):
-    from adaptrack.road.points import read_points
-
-    for k, (text, refused) in enumerate(HEADERS.items()):
-        path = tmp_path / f"{k}.csv"
-        path.write_text(text)
-        if refused is None:
-            assert read_points(path).points.tolist() == [list(point) for point in XY], text
-            continue
-        with pytest.raises(ConfigError, match=refused[1]) as error:
-            read_points(path)
-        assert refused[0] is None or f"line {refused[0]}:" in str(error.value), error.value
-
-
 @needs_node
 def test_the_page_takes_the_same_line_for_the_header():
     for (text, refused), answer in zip(
@@ -332,12 +295,6 @@ def test_points_that_make_no_road_are_refused_in_words():
     for (_, words), answer in zip(NO_ROADS, answers, strict=True):
         assert words in answer["error"]
         is_refused_in_words(answer)
-
-
-@needs_node
-def test_a_road_that_may_be_in_kilometres_is_said():
-    found = points_of("".join(f"{0.03 * k},{0.001 * k * k}\n" for k in range(40)))["value"]
-    assert any("if x and y are in km" in note for note in found["notes"])
 
 
 @needs_node

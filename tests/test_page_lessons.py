@@ -58,10 +58,6 @@ def drive(lesson, truth=None, **controllers):
     return found
 
 
-def test_there_are_six_lessons_and_the_papers_two_tests():
-    assert asked("[LESSONS.length, PAPER_TESTS.length]") == [6, 2]
-
-
 def test_a_blind_controller_swings_as_the_lag_grows_and_one_that_is_told_does_not(lessons):
     lesson = lessons["lag"]
     (told, *_), (blind, *_) = drive(lesson)
@@ -127,50 +123,3 @@ def test_the_papers_controller_needs_the_papers_steering(lessons):
     both["setup"]["controllers"].append({"kind": "informed"})
     (paper, *_), (informed, *_) = drive(both)
     assert paper == pytest.approx(0.35, abs=0.01) == informed
-
-
-# -- what is taken along ----------------------------------------------------------------------------------------------
-DRAWN = [[14.0 * k, round(12.0 * np.sin(k / 3), 1)] for k in range(20)]
-CHANGED = {"lag": 0.3, "dead_time": 0.1, "bias": 0.01, "noise": 2.0, "friction": 0.7, "wind": 5.0}
-SETUPS = {
-    "sheet": {"car": {"sheet": {"mass": 1450.0, "wheelbase": 2.65}}},
-    "drawn": {"road": {"points": DRAWN, "closed": False, "name": "drawn"}, "speed": {"constant": 9.0}},
-    "production": {"profile": "production", "car": {"name": "van"}, "controllers": [{"kind": "learning"}]},
-    "touched": {"truth": CHANGED, "controllers": [{"kind": "informed", "belief": {"lag": 0.3, "dead_time": 0.1}}]},
-    "paper": {"car": {"name": "paper"}, "road": {"test": "triple-lane-change"}, "profile": "paper",
-              "controllers": [{"kind": "published", "tuning": {"Np": 30, "Nc": 6, "Q": 5.0, "R": 0.02}}]},
-    "scheduled": {"car": {"name": "paper"}, "truth": {"friction": 0.6, "wind": 4.0},
-                  "road": {"test": "triple-lane-change"}, "controllers": [{"kind": "published-anfis"}]},
-    "others": {"controllers": [{"kind": "stanley"}, {"kind": "lqr"}], "road": {"name": "town"}, "seed": 3},
-    "no lag": {"controllers": [{"kind": "informed"}], "truth": {"lag": 0.0}},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", SETUPS)
-def test_the_python_lines_drive_what_the_page_drives(name, monkeypatch):
-    setup, lines = asked("[makeSetup(asked), (page.setup = makeSetup(asked), pythonOf(page.setup))]", SETUPS[name])
-    kept = []
-    simulate = page_setup.at.simulate
-    monkeypatch.setattr(page_setup.at, "simulate", lambda *a, **k: kept.append(simulate(*a, **k)) or kept[-1])
-    exec(lines, {})
-    expected = simulate_setup(setup)
-    assert len(kept) == len(expected)
-    for run, same in zip(kept, expected, strict=True):
-        np.testing.assert_array_equal(run.command, same.command)
-        np.testing.assert_array_equal(run.Y, same.Y)
-
-
-@pytest.mark.parametrize("name", SETUPS)
-def test_a_link_gives_the_settings_back(name):
-    setup, found, notes = asked("(({hash}) => [makeSetup(asked), setupOf(hash).setup, setupOf(hash).notes])"
-                                "(addressOf(makeSetup(asked)))", SETUPS[name])  # fmt: skip
-    for each in setup["controllers"]:
-        each.update({key: each.get(key) for key in ("tuning", "belief")})
-    assert (found, notes) == (setup, [])
-
-
-def test_a_link_names_what_does_not_fit():
-    given = {"road": {"points": [[k, 0.0] for k in range(101)], "name": "long"}}
-    notes = asked("addressOf(makeSetup(asked), [{push: {}}, {sensors: {}}]).notes", given)
-    assert "long has 101 points, a link holds 100" in notes[0]
-    assert "pushes, sensors switched off" in notes[1]

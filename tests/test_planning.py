@@ -1,11 +1,7 @@
 """The kernels that make a drive of a road: the same plan and samples from anywhere, and true ones."""
 
 import itertools
-import json
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,7 +10,6 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import GRAVITY, list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core import path
-from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.along import Along, Route
@@ -27,7 +22,6 @@ from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 from adaptrack.road.cornering import cornering_limit, packed
 from adaptrack.road.road import DRY
-from adaptrack.road.speed import SPEED, constant_speed
 from adaptrack.scenario import RoadDrive, load_scenario
 
 pytestmark = pytest.mark.kernels
@@ -87,31 +81,6 @@ def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_th
     np.testing.assert_array_equal(samples, wanted)
     drive_start(planning.route.line, 0.4, 0.0, pose)
     assert tuple(pose) == drive.start_pose()
-
-
-def test_one_speed_is_kept_all_along():
-    planning = to_plan(line_through(OVAL, True))
-    known = constant_speed(road_through(OVAL, closed=True), 11.0)
-    assert kernel.plan_constant(11.0, planning) == known.duration == pytest.approx(known.s[-1] / 11.0)
-    assert (planning.table[PLAN.speed] == 11.0).all()
-
-
-@pytest.mark.skipif(INTERPRETED, reason="compares with compiled kernels")
-def test_interpreted_kernels_plan_as_compiled_ones():
-    script = (
-        "import json; from adaptrack.road import generate_road, plan_speed; from adaptrack.cars.vehicle import "
-        "load_vehicle; p = plan_speed(generate_road('mountain', 4, 300.0), load_vehicle('midsize-sedan')); "
-        "print(json.dumps([p.speed.tolist(), p.time.tolist(), p.binding.tolist()]))"
-    )
-    environment = {**os.environ, "ADAPTRACK_KERNELS": "interpreted"}
-    done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True, timeout=120
-    )
-    speed, time, binding = json.loads(done.stdout)
-    plan = plan_speed(generate_road("mountain", 4, 300.0), CAR)
-    np.testing.assert_allclose(plan.speed, speed, rtol=1e-12)
-    np.testing.assert_allclose(plan.time, time, rtol=1e-12)
-    np.testing.assert_array_equal(plan.binding, binding)
 
 
 # -- true speeds ------------------------------------------------------------------------------------------------------
@@ -180,14 +149,6 @@ def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value
     found = kernel.plan_along_road(to_plan(line, bounds=bounds, bank=changes.get("bank", 0.0)))
     assert found[0] == status
     assert found[2] == pytest.approx(value)
-
-
-@pytest.mark.parametrize("spacing", [0.0, -1.0, math.nan, math.inf])
-def test_a_spacing_that_makes_no_places_is_a_status(spacing):
-    line = line_through(BENDS, False)
-    planning = to_plan(line, bounds=BOUNDS._replace(spacing=spacing))
-    assert planning.table.shape[1] == 0
-    assert kernel.plan_along_road(planning)[0] == kernel.NO_PLACES
 
 
 # -- places -----------------------------------------------------------------------------------------------------------
@@ -270,7 +231,3 @@ def test_a_bank_pulls_and_a_bend_is_acceleration_ahead():
     np.testing.assert_allclose(rows[SIGNAL.bank], -GRAVITY * math.sin(0.1), rtol=1e-15)
     np.testing.assert_array_equal(rows[SIGNAL.acceleration], 4.0)
     np.testing.assert_array_equal(rows[SIGNAL.change], 0.0)
-
-
-def test_a_top_speed_beyond_that_of_any_car_counts_as_no_limit():
-    assert BOUNDS.no_limit == SPEED.most

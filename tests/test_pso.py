@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import build, read_toml
 from adaptrack.core import swarm
 from adaptrack.core.kernel import Place, exported, int64, matrix, vector, void
@@ -106,9 +106,6 @@ def test_normal_draws_are_normal_and_apart_from_the_uniform_ones():
 
 
 # -- the paper's equations --------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("g", "w"), [(0, 0.997), (1, 0.201), (2, 0.111), (3, 0.1013), (4, 0.1001), (5, 0.1000)])
-def test_inertia_of_the_papers_table_collapses_in_two_generations(g, w):
-    assert swarm.inertia(g, 15, 0.99, 0.1, 30.0, 3.0) == pytest.approx(w, abs=0.5 * 10.0 ** -len(str(w).split(".")[1]))
 
 
 @given(
@@ -136,19 +133,6 @@ def test_where_the_ranges_of_eq_20_share_an_end_the_first_wins(g, range_):
     assert c1 == range_ + 1
 
 
-@given(st.integers(1, 400))
-def test_accelerations_always_sum_to_four(G):
-    schedule = SwarmSettings(generations=G).schedule()
-    assert schedule.shape == (G - 1, 3)
-    assert schedule[:, 1] + schedule[:, 2] == pytest.approx(4.0)
-
-
-def test_social_acceleration_stays_positive_up_to_150_generations_and_not_much_longer():
-    smallest = {G: SwarmSettings(generations=G).schedule()[:, 2].min() for G in (15, 150, 165)}
-    assert smallest[15] > 1.7
-    assert smallest[150] > 0 > smallest[165]
-
-
 def test_a_move_is_eq_18_with_counted_draws():
     space, settings = box(3, -1.0, 3.0), SwarmSettings(particles=5, generations=6, velocity_clamp=0.2)
     run = Swarm(space, settings, seed=11, stream=4)
@@ -166,16 +150,6 @@ def test_a_move_is_eq_18_with_counted_draws():
         wanted = np.clip(w * v + pull, -0.8, 0.8)
         assert state["v"] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
         assert run.ask() == pytest.approx(np.clip(x + wanted, -1, 3), rel=1e-12, abs=1e-12)
-
-
-def test_the_first_inertia_acts_on_nothing_since_velocities_begin_at_zero():
-    slow, fast = (Swarm(box(3), SwarmSettings.classic(w=w), seed=1) for w in (0.0, 0.9))
-    for run in (slow, fast):
-        run.tell(sphere(run.ask()))
-    assert np.array_equal(slow.ask(), fast.ask())
-    for run in (slow, fast):
-        run.tell(sphere(run.ask()))
-    assert not np.array_equal(slow.ask(), fast.ask())
 
 
 def test_the_classic_swarm_has_constant_coefficients():
@@ -199,13 +173,6 @@ def test_every_position_is_in_the_space_and_no_velocity_exceeds_its_clamp(space,
         assert (np.abs(state["v"]) <= fastest).all()
 
 
-def test_the_velocity_clamp_binds_at_first():
-    run = Swarm(TUNING, seed=2)
-    run.tell(hilly(run.ask()))
-    fastest = 0.2 * (np.array(TUNING.high) - np.array(TUNING.low))
-    assert (np.abs(run.state["v"]) == fastest).any(axis=0).all()
-
-
 def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
     met = False
     for seed in range(20):
@@ -217,12 +184,6 @@ def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
             assert TUNING.contains(x).all()
             met = met or (x[:, NC] == x[:, NP]).any()
     assert met
-
-
-def test_the_first_tunings_have_np_of_at_least_twice_nc():
-    first = np.concatenate([Swarm(TUNING, seed=seed).ask() for seed in range(50)])
-    assert (first[:, NP] >= 2 * first[:, NC]).all()
-    assert TUNING.contains(first).all()
 
 
 def test_the_first_draw_is_uniform_and_every_whole_number_is_as_likely():
@@ -255,10 +216,6 @@ def test_a_position_is_clamped_then_rounded_to_the_nearest_then_nc_lowered_to_np
         x = np.array(given_)
         swarm.repair(settings, space, x)
         assert x.tolist() == repaired
-
-
-def test_velocities_begin_at_zero():
-    assert not Swarm(TUNING).state["v"].any()
 
 
 def test_a_fixed_dimension_stays_and_leaves_the_others_their_path():
@@ -364,51 +321,7 @@ def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
         assert np.array_equal(resumed.best.x, states[-1]["leader"])
 
 
-def test_a_state_is_a_copy():
-    run = Swarm(TUNING)
-    state = run.state
-    run.tell(hilly(run.ask()))
-    assert same(state, Swarm(TUNING).state)
-    resumed = Swarm.from_state(TUNING, None, state)
-    resumed.tell(hilly(resumed.ask()))
-    assert same(state, Swarm(TUNING).state)
-
-
-def test_seeds_and_streams_give_independent_swarms():
-    keys = [(seed, stream) for seed in range(30) for stream in range(30)]
-    settings = SwarmSettings(particles=4)
-    first = np.array([Swarm(box(4), settings, seed=seed, stream=stream).ask().ravel() for seed, stream in keys])
-    assert len(np.unique(first)) == first.size  # no number twice
-    correlation = np.corrcoef(first)[np.triu_indices(len(keys), 1)]
-    expected = stats.norm(0, 1 / math.sqrt(first.shape[1] - 1))
-    assert abs(correlation.mean()) < 5 * expected.std() / math.sqrt(len(correlation))
-    assert correlation.std() == pytest.approx(expected.std(), rel=0.02)
-
-
-def test_a_larger_swarm_begins_with_the_particles_of_a_smaller_one():
-    small, large = (Swarm(TUNING, SwarmSettings(particles=n), seed=4).ask() for n in (5, 50))
-    assert np.array_equal(large[:5], small)
-
-
 # -- invariances ------------------------------------------------------------------------------------------------------
-def test_only_the_order_of_the_costs_matters():
-    plain = [state for _, state in generations(Swarm(TUNING, seed=9), hilly)]
-    bent = [state for _, state in generations(Swarm(TUNING, seed=9), lambda x: np.exp(3.0 * hilly(x)) - 40.0)]
-    for a, b in zip(plain, bent, strict=True):
-        for name in ("x", "v", "best", "leader"):
-            assert np.array_equal(a[name], b[name])
-
-
-def test_a_space_twice_as_wide_gives_positions_twice_as_far():
-    path = [x for x, _ in generations(Swarm(box(3, -3.0, 5.0), seed=9), sphere)]
-    wide = [x for x, _ in generations(Swarm(box(3, -6.0, 10.0), seed=9), sphere)]
-    assert np.array_equal(wide, 2.0 * np.array(path))
-
-
-def test_a_space_moved_elsewhere_gives_positions_moved_with_it():
-    path = [x for x, _ in generations(Swarm(box(3, -3.0, 5.0), seed=9), sphere)]
-    moved = [x for x, _ in generations(Swarm(box(3, 97.0, 105.0), seed=9), lambda x: sphere(x - 100.0))]
-    assert np.array(moved) - 100.0 == pytest.approx(np.array(path), abs=1e-9)
 
 
 # -- costs that are no numbers ----------------------------------------------------------------------------------------
@@ -494,16 +407,6 @@ def test_costs_that_are_not_one_number_per_particle_are_refused_and_change_nothi
     assert same(run.state, Swarm(TUNING).state)
 
 
-def test_a_swarm_that_is_done_takes_no_more():
-    run = Swarm(TUNING, SwarmSettings(generations=1))
-    run.tell(hilly(run.ask()))
-    assert run.done
-    with pytest.raises(InvalidInput, match="all 1 generations"):
-        run.ask()
-    with pytest.raises(InvalidInput, match="all 1 generations"):
-        run.tell(np.ones(20))
-
-
 def test_the_state_of_another_swarm_is_refused():
     state = Swarm(TUNING).state
     with pytest.raises(InvalidInput, match="saved under other settings"):
@@ -526,34 +429,6 @@ def test_settings_and_spaces_survive_a_file(record, tmp_path):
     path = tmp_path / "record.toml"
     record.to_toml(path)
     assert build(type(record), read_toml(path), path) == record
-
-
-def test_a_misspelt_key_in_a_file_names_file_and_key(tmp_path):
-    path = tmp_path / "swarm.toml"
-    path.write_text("partices = 20\n")
-    with pytest.raises(ConfigError) as refusal:
-        build(SwarmSettings, read_toml(path), path)
-    assert str(path) in str(refusal.value)
-    assert "Did you mean 'particles'" in str(refusal.value)
-
-
-def test_packed_settings_reach_their_slots():
-    values = dict(
-        generations=7, w=0.51, w_max=0.92, w_min=0.13, lambda1=4.4, lambda2=5.5, c1=1.6, c2=1.7,
-        steps=(0.08, 0.09, 0.10, 0.11), velocity_clamp=0.12,
-    )  # fmt: skip
-    packed = SwarmSettings(**values).packed(TUNING)
-    assert len(packed) == len(swarm.SWARM_SETTINGS)
-    for name, value in values.items():
-        if name == "steps":
-            assert tuple(packed[swarm.STEP_1 : swarm.STEP_4 + 1]) == value
-        else:
-            assert packed[swarm.SWARM_SETTINGS.index(name)] == value
-    assert packed[swarm.IMPROVED] == 1
-    assert SwarmSettings.classic().packed(TUNING)[swarm.IMPROVED] == 0
-    assert (packed[swarm.SMALLER], packed[swarm.LARGER], packed[swarm.SPREAD]) == (NC, NP, 2.0)
-    assert list(SwarmSettings().packed(box(2))[swarm.SMALLER :]) == [-1, -1, 1]
-    assert np.array_equal(TUNING.packed(), [[1, 1, 0.1, 0.001], [55, 18, 10, 0.1], [1, 1, 0, 0], [0, 0, 0, 0]])
 
 
 def test_a_dimension_searched_by_decades_is_uniform_in_its_logarithm():

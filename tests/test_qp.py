@@ -14,7 +14,6 @@ from adaptrack.control.qp import (
     Hildreth,
     QPSolver,
     QPStatus,
-    Solution,
     get_qp_solver,
     kkt_residuals,
 )
@@ -66,6 +65,7 @@ def test_what_has_no_solution_is_a_status_and_nothing_to_steer_by(name):
     for qp in (CONTRADICTION, QP(E, K, np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([-1.0, 1.0]))):
         assert solver.solve(qp).status in (QPStatus.INFEASIBLE, QPStatus.CAPPED)
         assert not solver.solve(qp).usable
+    assert solver.solve(CONTRADICTION).iterations > 0
     assert not solver.solve(QP(np.array([[1.0, 2.0], [2.0, 1.0]]), K, M, gamma)).solved
     for entry in range(4):
         arrays = [array.copy() for array in (E, K, M, gamma)]
@@ -215,20 +215,6 @@ def test_with_any_solver_no_step_of_a_controller_is_held(solver):
         assert abs(command.move - expected.move) < 1e-4
 
 
-def test_an_answer_of_ones_own_solver_is_finished_applied_or_held(rng):
-    qp = QP(*drawn_problem(rng, 5, 15))
-    finished = _Idle().solve(qp)
-    assert finished.solved
-    assert (finished.finished_by, finished.finishes) == ("active-set", 1)
-    applied = _Idle(on_uncertified="apply").solve(qp)
-    assert applied.status is QPStatus.CAPPED
-    assert applied.usable
-    assert (applied.finished_by, applied.finishes) == ("idle", 0)
-    held = _Idle(on_uncertified="hold").solve(qp)
-    assert held.status is QPStatus.CAPPED
-    assert not held.usable
-
-
 def test_a_claim_of_infeasibility_is_not_believed(rng):
     class Pessimist(_Idle):
         def attempt(self, qp, warm_start=None):
@@ -237,12 +223,6 @@ def test_a_claim_of_infeasibility_is_not_believed(rng):
     qp = QP(*drawn_problem(rng, 5, 15))
     assert Pessimist().solve(qp).solved
     assert Pessimist(on_uncertified="apply").solve(qp).status is QPStatus.INFEASIBLE
-
-
-def test_an_infeasible_problem_stays_infeasible_when_the_exact_method_finishes():
-    solution = _Idle().solve(CONTRADICTION)
-    assert solution.status is QPStatus.INFEASIBLE
-    assert not solution.usable
 
 
 # -- the problem ------------------------------------------------------------------------------------------------------
@@ -284,18 +264,3 @@ def test_a_name_makes_a_solver_and_a_misspelt_one_is_answered_with_the_nearest()
     assert isinstance(get_qp_solver("hildreth", max_sweeps=7), Hildreth)
     with pytest.raises(UnknownName, match="Did you mean 'hildreth'"):
         get_qp_solver("hildret")
-
-
-def test_the_ill_conditioned_problem_is_stated_exactly():
-    qp, x = ill_conditioned_problem()
-    exact = [sum(int(e * 8) * int(v * 32) for e, v in zip(row, x, strict=True)) for row in qp.E]  # in 1/256
-    pressed = np.array([2.0, 0.0, 0.0, 0.5, -1.0, 0.0])
-    assert [-e / 256 - p for e, p in zip(exact, pressed, strict=True)] == qp.K.tolist()
-
-
-def test_solutions_are_plain_records(rng):
-    solution = get_qp_solver().solve(QP(*drawn_problem(rng, 3, 4)))
-    assert isinstance(solution, Solution)
-    assert {f.name for f in dataclasses.fields(solution)} == {
-        "x", "lam", "status", "residuals", "iterations", "solver", "message", "finished_by", "finishes",
-    }  # fmt: skip

@@ -7,13 +7,12 @@ from hypothesis import strategies as st
 
 from adaptrack.control.qp import QP, QPStatus, kkt_residuals
 from adaptrack.control.qp.kernel import Workspace
-from adaptrack.core.layout import aligned
 from adaptrack.core.qp import problem as kernels
 from adaptrack.core.qp.active_set import active_set
 from adaptrack.core.qp.residual import kkt_residual
 from references import qp_hildreth as textbook
 from references.qp_exact import Infeasible, reference_solve
-from references.qp_problems import drawn_mpc_problem, drawn_problem, ill_conditioned_problem, known_problems
+from references.qp_problems import drawn_mpc_problem, drawn_problem, ill_conditioned_problem
 
 pytestmark = pytest.mark.kernels
 
@@ -65,12 +64,6 @@ def test_a_hessian_that_is_not_positive_definite_is_refused(E):
 
 
 # -- the exact solver -------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("label", "qp", "x"), [pytest.param(*case, id=case[0]) for case in known_problems()])
-def test_known_problems_are_solved_exactly(label, qp, x):
-    status, found, lam, _ = solve(qp)
-    assert status is QPStatus.SOLVED
-    np.testing.assert_allclose(found, x, atol=1e-15)
-    assert kkt_residuals(qp, found, lam).worst < 1e-15
 
 
 @pytest.mark.compiled
@@ -88,23 +81,14 @@ def test_at_a_condition_of_8e11_the_solution_is_exact_to_rounding():
 @pytest.mark.compiled
 def test_the_first_move_is_within_1e_6_rad_of_the_exact_one_on_hard_mpc_problems(rng):
     limited = 0
-    for _ in range(1500):
+    for _ in range(400):
         qp = QP(*drawn_mpc_problem(rng))
         status, x, lam, _ = solve(qp)
         reference = reference_solve(qp.E, qp.K, qp.M, qp.gamma, np.flatnonzero(lam > 0.0))
         assert status is QPStatus.SOLVED
         assert abs(x[0] - reference.x[0]) <= max(1e-6, reference.bound)
         limited += len(reference.active) > 0
-    assert limited > 1000
-
-
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 12), m=st.integers(0, 40))
-def test_the_optimality_conditions_hold(seed, n, m):
-    qp = QP(*drawn_problem(np.random.default_rng(seed), n, m))
-    status, x, lam, _ = solve(qp)
-    assert status is QPStatus.SOLVED
-    assert kkt_residuals(qp, x, lam).worst < 1e-11
-    assert (lam >= 0.0).all()
+    assert limited > 250
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), m=st.integers(0, 20))
@@ -118,36 +102,6 @@ def test_degenerate_and_contradicting_rows_are_told_apart(seed, n, m):
     else:
         assert status is QPStatus.SOLVED
         np.testing.assert_allclose(x, reference.x, atol=1e-10 * max(1.0, np.abs(reference.x).max()))
-
-
-def test_the_order_of_the_rows_does_not_matter(rng):
-    for _ in range(10):
-        E, K, M, gamma = drawn_problem(rng, 8, 30)
-        order = rng.permutation(30)
-        _, x, lam, _ = solve(QP(E, K, M, gamma))
-        _, y, mu, _ = solve(QP(E, K, M[order], gamma[order]))
-        np.testing.assert_allclose(y, x, atol=1e-12)
-        np.testing.assert_allclose(mu, lam[order], atol=1e-9)
-
-
-def test_a_row_without_a_bound_is_as_good_as_absent(rng):
-    E, K, M, gamma = drawn_problem(rng, 6, 20)
-    _, x, lam, _ = solve(QP(E, K, M, np.where(np.arange(20) % 2, gamma, np.inf)))
-    _, y, mu, _ = solve(QP(E, K, M[1::2], gamma[1::2]))
-    np.testing.assert_allclose(x, y, atol=1e-13)
-    np.testing.assert_allclose(lam[1::2], mu, atol=1e-12)
-    assert not lam[::2].any()
-
-
-def test_any_guess_of_the_active_rows_leads_to_the_same_solution(rng):
-    for _ in range(20):
-        qp = QP(*drawn_problem(rng, 9, 30))
-        _, x, lam, cold = solve(qp)
-        _, y, _, warm = solve(qp, guess=lam)
-        np.testing.assert_allclose(y, x, atol=1e-12)
-        assert warm <= cold
-        _, y, _, _ = solve(qp, guess=rng.normal(size=30))
-        np.testing.assert_allclose(y, x, atol=1e-12)
 
 
 def test_a_kept_factor_leads_to_the_same_solution(rng):
@@ -267,50 +221,6 @@ def test_hildreth_is_the_textbooks_procedure_sweep_by_sweep(rng):
 
 
 @pytest.mark.compiled
-def test_hildreth_is_the_textbooks_procedure_on_mpc_problems(rng):
-    for _ in range(60):
-        qp = QP(*drawn_mpc_problem(rng))
-        x, _, done = textbook.hildreth(qp.E, qp.K, qp.M, qp.gamma)
-        _, y, _, counted = sweep(qp)
-        reach = max(1.0, np.abs(np.linalg.solve(qp.E, qp.K)).max())
-        assert abs(counted - done) <= 1
-        if counted == done:
-            np.testing.assert_allclose(y, x, atol=1e-13 * reach * np.linalg.cond(qp.E) + 1e-12)
-
-
-def test_no_sweep_lowers_the_dual_objective(rng):
-    for _ in range(5):
-        qp = QP(*drawn_problem(rng, 8, 30))
-        climb = [textbook.dual_objective(qp.E, qp.K, qp.M, qp.gamma, sweep(qp, k, 0.0)[2]) for k in range(1, 25)]
-        assert (np.diff(climb) >= -1e-12 * np.abs(climb[:-1])).all()
-        assert climb[-1] > climb[0]
-
-
-def test_hildreth_converges_to_the_exact_solution_when_it_may(rng):
-    for _ in range(10):
-        qp = QP(*drawn_problem(rng, 6, 15))
-        status, x, _, _ = sweep(qp, 20_000, 1e-24)
-        assert status is QPStatus.SOLVED
-        np.testing.assert_allclose(x, solve(qp)[1], atol=1e-8)
-
-
-def test_hildreth_returns_the_free_minimiser_when_it_satisfies_the_rows(rng):
-    E, K, M, _ = drawn_problem(rng, 6, 15)
-    status, x, lam, sweeps = sweep(QP(E, K, M, np.full(15, 1e6)))
-    assert (status, sweeps) == (QPStatus.SOLVED, 0)
-    np.testing.assert_allclose(x, -np.linalg.solve(E, K), rtol=1e-10)
-    assert not lam.any()
-
-
-def test_hildreth_started_at_the_solution_stays_there(rng):
-    qp = QP(*drawn_problem(rng, 6, 15))
-    _, x, lam, _ = solve(qp)
-    status, y, _, sweeps = sweep(qp, start=lam)
-    assert (status, sweeps) == (QPStatus.SOLVED, 1)
-    np.testing.assert_allclose(y, x, atol=1e-10)
-
-
-@pytest.mark.compiled
 def test_what_hildreth_calls_solved_is_solved(rng):
     capped = 0
     for _ in range(500):
@@ -330,12 +240,6 @@ def test_multipliers_so_small_that_the_papers_criterion_is_blind_do_not_count_as
     assert sweeps < 38
     assert status is QPStatus.CAPPED
     assert np.abs(x - solve(qp)[1]).max() > 1e-3
-
-
-def test_an_infeasible_problem_leaves_hildreth_capped():
-    qp = QP(np.eye(2), np.array([-3.0, -3.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([1.0, -2.0]))
-    assert sweep(qp)[0] is QPStatus.CAPPED
-    assert solve(qp)[0] is QPStatus.INFEASIBLE
 
 
 # -- residuals and statuses -------------------------------------------------------------------------------------------
@@ -361,18 +265,3 @@ def test_a_nan_reaches_the_residuals(name, rng):
     getattr(w.solution if name in ("x", "lam") else w.problem, name).flat[0] = np.nan
     residuals = kkt_residual(w.problem, w.solution, w.scratch)
     assert np.isnan(residuals).any()
-
-
-def test_the_statuses_of_the_kernels_are_those_of_the_package():
-    for status in QPStatus:
-        assert getattr(kernels, status.name) == status
-        assert status.sentence.endswith(".")
-
-
-def test_workspaces_start_on_a_cache_line():
-    for shape in ((3, 8), (5,), (2, 7, 16)):
-        array = aligned(shape)
-        assert array.shape == shape
-        assert array.ctypes.data % 64 == 0
-        assert array.flags.c_contiguous
-        assert not array.any()

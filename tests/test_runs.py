@@ -13,19 +13,17 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
-from adaptrack.control.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
+from adaptrack.control.scheduling import Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core import loop
 from adaptrack.core.controllers.mpc import ANSWER
 from adaptrack.core.plants.contract import STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
-from adaptrack.drive.metrics import PUBLISHED
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import (
     operating_point_runs,
-    paper_test_runs,
     random_drive_runs,
 )
 from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
@@ -133,15 +131,6 @@ def test_costs_do_not_depend_on_how_runs_are_batched(monkeypatch, rng):
     np.testing.assert_array_equal(parts[order], runs.segments(policy, 2, order))
     monkeypatch.setattr(os, "cpu_count", lambda: 5)
     np.testing.assert_array_equal(together, runs.drive(policy, [1, 2]))
-
-
-@pytest.mark.compiled
-def test_a_tuning_costs_the_same_however_it_is_given_and_leaves_nothing_behind():
-    runs = run_set()
-    schedule = Constant(START)
-    expected = runs.drive(START, [3])
-    for policy in (schedule, START.as_array(), [29, 5, 1.0, 4000.0], np.tile(START.as_array(), (len(runs), 1)), START):
-        np.testing.assert_array_equal(runs.drive(policy, [3]), expected)
 
 
 @pytest.mark.compiled
@@ -346,9 +335,3 @@ def test_operating_points_are_lane_changes_in_a_gust_and_drives_have_segments_of
 def test_rows_that_are_no_operating_points_are_refused(points):
     with pytest.raises(InvalidInput, match="operating points"):
         operating_point_runs(SingleTrack(CAR), controller(), points)
-
-
-def test_only_the_papers_tests_are_its_tests():
-    assert len(paper_test_runs(SingleTrack(CAR), controller(), next(iter(PUBLISHED)))) == 1
-    with pytest.raises(InvalidInput, match="must be one of"):
-        paper_test_runs(SingleTrack(CAR), controller(), "sine")

@@ -14,19 +14,16 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     ENTRIES,
     VARIABLES,
-    Entry,
     Guarded,
     Learned,
     Network,
-    Schedule,
     SchedulingVariables,
     StabilityMap,
     Sugeno,
     Table,
 )
-from adaptrack.control.scheduling import schedule as scheduling
 from adaptrack.control.scheduling.functions.sugeno import ANY
-from adaptrack.core import functions, guard, variables
+from adaptrack.core import functions, guard
 from adaptrack.core import schedule as kernel
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
@@ -57,14 +54,6 @@ def test_a_network_is_that_of_its_numpy_reference(relu, rng):
         net = random_network(rng, inputs, relu)
         x = net.low + (net.high - net.low) * rng.uniform(-0.5, 1.5, (10, inputs))
         close(by_kernel(net, x), net.predict(x))
-
-
-def test_the_papers_network_is_that_of_its_numpy_reference(rng):
-    weights = tuple(rng.normal(size=pair) * 3.0 for pair in ((4, 16), (16, 8), (8, 1)))
-    net = Network(np.zeros(4), np.ones(4), weights, (rng.normal(size=16), rng.normal(size=8), np.ones(1)), 1.0, 55.0)
-    x = rng.uniform(size=(100, 4))
-    assert (net.predict(x) > 1.0).any()  # the ReLU does not hide the rest
-    close(by_kernel(net, x), net.predict(x))
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered in exp:RuntimeWarning")  # said by NumPy's reference
@@ -141,11 +130,6 @@ def test_a_table_is_exact_at_its_nodes(method, rng):
     assert np.array_equal(by_kernel(table, nodes), table.values.ravel())
 
 
-def test_half_way_between_two_nodes_the_nearest_is_the_lower():
-    table = Table((np.array([0.0, 1.0, 3.0]),), np.array([10.0, 20.0, 30.0]), "nearest")
-    assert by_kernel(table, np.array([[0.5], [0.50001], [2.0], [2.00001]])).tolist() == [10.0, 20.0, 20.0, 30.0]
-
-
 # -- from the variables to a tuning -----------------------------------------------------------------------------------
 class Drive:
     """A schedule at work: asks it step after step."""
@@ -167,12 +151,6 @@ def speedy(**functions):
     """A schedule by speed within 0..20 m/s: Np = 20 + speed, and the rest constant unless told."""
     told = {"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 100.0} | functions
     return Learned(told, ("speed",), [[0.0, 20.0]])
-
-
-def test_kernels_and_schedules_name_the_same_variables_and_entries():
-    assert SchedulingVariables._fields == tuple(VARIABLES) == variables.NAMES
-    assert [ENTRIES[i] for i in (guard.NP, guard.NC, guard.Q, guard.R)] == ["Np", "Nc", "Q", "R"]
-    assert scheduling.MOST_ENTRIES == guard.MOST_ENTRIES
 
 
 @pytest.mark.parametrize("place", range(len(VARIABLES)))
@@ -201,18 +179,6 @@ def test_an_input_that_is_no_number_keeps_the_last_tuning_and_is_counted(nothing
     assert drive.counts()["broken"] == 2
 
 
-def test_before_a_first_tuning_an_input_that_is_no_number_leaves_what_is_there():
-    drive = Drive(speedy())
-    assert drive(speed=math.nan) == [35, 8, 10.0, 0.01]
-    assert drive.counts()["broken"] == 1
-
-
-def test_a_variable_that_is_not_an_input_may_be_anything():
-    drive = Drive(speedy())
-    assert drive(speed=5.0, wind=math.nan, friction=math.inf)[0] == 25.0
-    assert drive.counts()["broken"] == 0
-
-
 def test_an_entry_by_its_logarithm_is_ten_to_the_power_of_its_function():
     schedule = Learned({"Np": 30.0, "Nc": 5.0, "log10_ratio": line(0.0, 20.0, -1.0, 3.0)}, ("speed",), [[0.0, 20.0]])
     drive = Drive(schedule)
@@ -238,14 +204,6 @@ def test_values_are_held_within_the_bounds_of_their_entry():
     drive = Drive(Learned(wild, ("speed",), [[0.0, 20.0]], bounds))
     assert drive(speed=0.0) == [10.0, 2.0, 0.5, 1.0]
     assert drive(speed=20.0) == [25.0, 4.0, 2.0, 10.0]
-
-
-@pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")  # said by the interpreter alone
-def test_a_value_beyond_all_numbers_is_held_within_the_bounds_too():
-    huge = Entry(line(0.0, 20.0, -1000.0, 1000.0), 1e-3, 1e3, log10=True)
-    entries = dict(speedy().tuning) | {"R": huge}
-    drive = Drive(Schedule(("speed",), [[0.0, 20.0]], entries))
-    assert [drive(speed=speed)[3] for speed in (0.0, 20.0)] == [1e-3, 1e3]
 
 
 def test_every_run_has_a_memory_of_its_own():
@@ -303,24 +261,6 @@ def test_an_offset_that_the_grip_cannot_take_back_in_time_calls_for_the_fallback
     assert drive(speed=10.0, friction=0.6, offset=side * 1.1 * limit)[0] != FALLBACK.Np  # more grip, more leeway
     assert drive(speed=10.0, friction=0.5, offset=math.nan)[0] == FALLBACK.Np
     assert drive.counts()["off_reference"] == 2
-
-
-def test_without_an_offset_limit_a_guard_allows_any_offset():
-    drive = Drive(Guarded(speedy(), FALLBACK))
-    assert drive(speed=10.0, friction=0.0, offset=1e9)[0] != FALLBACK.Np
-    assert drive(speed=10.0, friction=0.5, offset=math.nan)[0] != FALLBACK.Np
-
-
-def test_a_fallback_starts_again_with_each_new_cause():
-    drive = Drive(Guarded(speedy(), FALLBACK, hold=3, rates=(100, 100, 10.0)))
-    used = [drive(speed=speed)[1] == FALLBACK.Nc for speed in (10, 40, 10, 40, 10, 10, 10, 10)]
-    assert used == [False, True, True, True, True, True, False, False]
-    assert drive.counts()["outside"] == 2
-
-
-def test_the_way_back_from_a_fallback_is_limited_too():
-    drive = Drive(Guarded(speedy(Np=60.0), FALLBACK, hold=1, rates=(5, 2, 0.3)))
-    assert [drive(speed=speed)[0] for speed in (10, 40, 10, 10, 10)] == [60, 25, 30, 35, 40]
 
 
 def test_a_guard_interpolates_the_stability_map():

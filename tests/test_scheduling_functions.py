@@ -1,6 +1,5 @@
 """Every kind of function keeps one contract: what it packs is what it predicts, moves and saves."""
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +16,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     register_function,
 )
-from adaptrack.control.scheduling.functions import load_function, save_function
-from adaptrack.core import functions as kernel
+from adaptrack.control.scheduling.functions import load_function
 from small_models import random_network, random_sugeno, random_table
 
 KINDS = ("number", "network", "sugeno", "table")
@@ -33,31 +31,6 @@ def functions(rng):
         "sugeno": random_sugeno(rng, 2),
         "table": random_table(rng, 2, "multilinear"),
     }
-
-
-@every_kind
-def test_what_a_function_packs_is_what_it_predicts(kind, rng):
-    function = functions(rng)[kind]
-    x = rng.normal(size=(50, 2)) * 3.0
-    packed = function.pack()
-    integers, numbers = np.array(packed.integers, np.int64), np.array(packed.numbers, float)
-    work = np.zeros(packed.scratch)
-    found = [kernel.evaluate(packed.kind, row, integers, numbers, work) for row in x]
-    np.testing.assert_allclose(found, function.predict(x), rtol=1e-10, atol=1e-10)
-
-
-@every_kind
-def test_a_function_reads_back_to_the_last_bit(kind, rng):
-    function = functions(rng)[kind]
-    saved = json.loads(json.dumps(save_function(function)))
-    assert saved["kind"] == kind == function.kind
-    again = load_function(saved)
-    assert type(again) is type(function)
-    assert again.n_inputs == function.n_inputs
-    ours, theirs = again.pack(), function.pack()
-    assert ours.kind == theirs.kind
-    assert list(ours.integers) == list(theirs.integers)
-    assert list(ours.numbers) == list(theirs.numbers)
 
 
 def test_a_kind_that_nobody_registered_is_refused_with_those_that_are_known():

@@ -10,7 +10,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
 from adaptrack.control.scheduling.variables import complete
-from adaptrack.results.words import INPUTS
 
 
 def test_every_variable_has_a_label_a_unit_and_a_range():
@@ -20,11 +19,6 @@ def test_every_variable_has_a_label_a_unit_and_a_range():
         assert variable.unit
         assert variable.meaning
         assert variable.low < variable.high
-
-
-def test_pages_and_certificates_take_labels_and_ranges_from_the_variables():
-    assert {name: (each.label, each.unit) for name, each in VARIABLES.items()} == INPUTS
-    assert {name: (each.low, each.high) for name, each in VARIABLES.items()} == OPERATING
 
 
 def test_the_operating_domain_is_the_one_that_the_shipped_certificates_were_made_on():
@@ -84,12 +78,6 @@ def test_a_tuning_and_four_numbers_are_an_answer(answer):
     read = read_tuning(answer)
     assert read == (30.0, 5.0, 1.0, 10.0)
     assert all(type(value) is float for value in read)
-
-
-def test_another_controller_names_its_own_entries():
-    assert read_tuning([1.5], ("lookahead",)) == (1.5,)
-    with pytest.raises(InvalidInput, match="numbers lookahead"):
-        read_tuning((30, 5, 1.0, 10.0), ("lookahead",))
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,6 @@ from adaptrack.control.controllers import (
     Controller,
     PurePursuit,
     Stanley,
-    Tuning,
-    published_mpc,
 )
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
@@ -49,12 +47,6 @@ def test_a_laws_own_tuning_lies_in_its_space_and_every_tuning_there_makes_one(la
         np.testing.assert_array_equal(
             law.with_tuning(entries).parameters(), type(law)(CAR, preview=True, **entries).parameters()
         )
-
-
-def test_the_published_controllers_space_holds_its_table_and_what_a_car_with_lag_wants():
-    space = search_space(published_mpc(CAR))
-    assert space.contains(Tuning(35, 8, 1.0, 0.001).as_array())
-    assert space.contains(Tuning(29, 5, 1.0, 4000.0).as_array())
 
 
 def test_the_lqrs_space_ends_where_its_table_of_gains_ends():

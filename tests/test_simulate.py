@@ -7,18 +7,14 @@ import numpy as np
 import pytest
 
 from adaptrack import Controller
-from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
-from adaptrack.control.controllers import MPC, Limits, Moves, Tuning, published_mpc
-from adaptrack.control.estimation import FrictionWindEstimator, Perception, UserEstimator
+from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
+from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import Constant, Lookup, SchedulingVariables
-from adaptrack.core import loop, period
-from adaptrack.core.controllers import mpc as kernel
-from adaptrack.core.kernel import columns as names_of_columns
 from adaptrack.core.maths.random import counted_normal
-from adaptrack.core.plants import contract
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure, Reason, find_failure
 from adaptrack.drive.simulate import rollout, simulate
@@ -67,36 +63,6 @@ def ramp(before, after, start, duration):
 
 
 # -- two drivers, one kernel ------------------------------------------------------------------------------------------
-@pytest.mark.compiled
-@pytest.mark.parametrize("profile", ["paper", "road"])
-@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
-@pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
-@pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.75)], ids=["pulse", "laguerre"])
-@pytest.mark.parametrize("solver", ["active-set", "hildreth"])
-def test_simulate_and_rollout_give_the_same_trajectory_to_the_last_bit(profile, plant, driver, moves, solver):
-    mpc = controller(profile, moves=moves, solver=solver)
-    arguments = {"profile": profile, "driver": driver, "seed": 7}
-    driven = simulate(plant(CAR), mpc, LANE_CHANGE, **arguments)
-    assert same(driven, rollout(plant(CAR), mpc, LANE_CHANGE, **arguments))
-    assert np.abs(driven.error).max() < 2.0
-
-
-@pytest.mark.parametrize("profile", ["paper", "road"])
-@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
-def test_both_drivers_agree_on_a_short_run(profile, plant):
-    mpc = published_mpc(CAR, CALM)
-    driven = simulate(plant(CAR, "magic-formula"), mpc, SHORT, profile=profile, driver=Driver(), seed=3)
-    assert same(driven, rollout(plant(CAR, "magic-formula"), mpc, SHORT, profile=profile, driver=Driver(), seed=3))
-    assert len(driven.t) == 15
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("name", ["triple-lane-change", "general-trajectory"])
-@pytest.mark.parametrize("limits", [Limits(), Limits(output=(-1.0, 5.0))], ids=["hard", "soft"])
-def test_the_papers_tests_are_the_same_from_python_and_compiled(name, limits):
-    scenario, mpc = load_scenario(name), published_mpc(CAR, limits=limits)
-    plant = DualTrack(CAR, "constant-stiffness")
-    assert same(simulate(plant, mpc, scenario), rollout(plant, mpc, scenario))
 
 
 def bicycle(x, u, environment, p, dx):
@@ -117,15 +83,6 @@ def bicycle(x, u, environment, p, dx):
 def users_car():
     parameters = {"m": 1575.0, "iz": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 19000.0, "cr": 33000.0}
     return UserPlant(bicycle, parameters, mass=1575.0, own_states=("roll",), label="bicycle")
-
-
-@pytest.mark.parametrize("profile", ["paper", "road"])
-@pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
-def test_a_users_plant_drives_in_both_loops(profile, driver):
-    plant, mpc = users_car(), published_mpc(CAR, CALM)
-    driven = simulate(plant, mpc, SHORT, profile=profile, driver=driver)
-    assert same(driven, rollout(plant, mpc, SHORT, profile=profile, driver=driver))
-    assert driven.meta["plant"] == "bicycle"
 
 
 @pytest.mark.compiled
@@ -229,17 +186,6 @@ def test_a_real_valued_horizon_is_rounded_alike_alone_and_in_company(horizon):
     assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, whole).mse[0] == together
 
 
-def test_a_control_horizon_longer_than_every_prediction_horizon_is_clamped():
-    step = load_scenario("step", amplitude=0.02, duration=0.4)
-    mpc = published_mpc(CAR, moves=Moves.laguerre(0.8, 4))
-    long, exact = (rollout_batch(SingleTrack(CAR), mpc, step, [[3, Nc, 1, 30]]).mse[0] for Nc in (18, 3))
-    assert long == exact
-
-
-def test_an_empty_batch_has_no_results():
-    assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), SHORT, np.zeros((0, 4))).mse.shape == (0,)
-
-
 # -- noise ------------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_counted_noise_is_standard_normal_and_without_memory():
@@ -256,11 +202,6 @@ def test_counted_noise_is_standard_normal_and_without_memory():
             np.take(draws, span, axis).ravel() for span in (range(1, draws.shape[axis]), range(draws.shape[axis] - 1))
         )
         assert abs(np.corrcoef(ahead, behind)[0, 1]) < 0.03
-
-
-def test_counted_noise_depends_on_its_counters_alone():
-    assert counted_normal(3, 5, 2) == counted_normal(3, 5, 2)
-    assert len({counted_normal(seed, k, c) for seed in range(4) for k in range(4) for c in range(4)}) == 64
 
 
 @pytest.mark.compiled
@@ -317,48 +258,6 @@ def test_a_failed_run_ends_with_not_a_number_and_says_so():
     again = rollout(SingleTrack(CAR), published_mpc(CAR, CALM), leaving, failure=rule)
     assert same(run, again)
     assert (again.failed, again.failed_at) == (run.failed, run.failed_at)
-
-
-@pytest.mark.compiled
-def test_a_failed_run_of_a_batch_is_flagged_and_harms_nobody(rng):
-    good = load_scenario("lane-change", duration=3.0)
-    leaving = good.replace(reference=ramp(0.0, 40.0, start=0.5, duration=1.0))
-    plant, mpc = DualTrack(CAR), published_mpc(CAR, CALM)
-    which = np.arange(20) % 2
-    rule = Failure(distance=3.0)
-    batch = rollout_batch(plant, mpc, [good, leaving], [CALM.as_array()] * 20, which=which, failure=rule)
-    alone = rollout_batch(plant, mpc, good, [CALM.as_array()], failure=rule)
-    assert [reason is not None for reason in batch.failed] == (which == 1).tolist()
-    assert set(batch.failed[which == 1]) == {Reason.OFF_ROAD}
-    assert np.isnan(batch.failed_at[which == 0]).all()
-    run = rollout(plant, mpc, leaving, failure=Failure(distance=3.0))
-    assert (batch.failed_at[which == 1] == run.failed_at).all()
-    assert (batch.steps[which == 1] == round(run.failed_at / run.period)).all()
-    assert np.isinf(batch.mse[which == 1]).all()
-    assert np.isinf(batch.cost(3.0)[which == 1]).all()
-    assert (batch.mse[which == 0] == alone.mse[0]).all()
-    assert (batch.steps[which == 0] == 30).all()
-    assert (batch.steps[which == 1] < 20).all()
-    assert rollout(plant, mpc, leaving, failure=Failure(distance=3.0)).error[: batch.steps[1]] == pytest.approx(
-        simulate(plant, mpc, leaving, failure=Failure(distance=3.0)).error[: batch.steps[1]], abs=0.0
-    )
-
-
-def explodes(x, u, environment, p, dx):
-    """Its yaw rate grows without bound."""
-    for i in range(6):
-        dx[i] = 0.0
-    dx[0], dx[2], dx[5] = x[3], x[5], 1e3 * x[5] + 1.0
-
-
-@pytest.mark.compiled  # the interpreter warns of the overflow
-def test_a_state_that_is_no_longer_finite_ends_the_run():
-    run = simulate(UserPlant(explodes, {}, mass=1000.0), published_mpc(CAR), straight_then(duration=3.0))
-    assert run.failed == Reason.NOT_FINITE
-    first = round(run.failed_at / run.period)
-    assert not math.isfinite(run.yaw_rate[first])
-    assert np.isfinite(run.Y[:first]).all()
-    assert np.isnan(run.Y[first + 1 :]).all()
 
 
 def drifts(x, u, environment, p, dx):
@@ -505,28 +404,6 @@ def test_what_a_scheduler_knows_is_the_same_in_both_drivers_and_in_batches(known
     assert (np.ptp(run.tuning["R"]) > 0.0) == (known in ("with errors", "estimated"))
 
 
-def test_what_a_scheduler_knows_changes_what_it_asks_for():
-    asked = {known: known_run(rollout, known).tuning["R"] for known in KNOWN}
-    assert len({values.tobytes() for values in asked.values()}) == len(KNOWN)
-    middle = np.interp(0.65, [0.3, 1.0], [0.0, 1.0])
-    expected = 10 ** ((1 - middle) * np.log10([9000.0, 5000.0]).mean() + middle * np.log10([3000.0, 1000.0]).mean())
-    assert asked["withheld"] == pytest.approx(expected, rel=1e-9)
-
-
-def from_the_wheels(speed, measured, command, a, b, parameters, memory, x, d):
-    """The measured state, and a disturbance that the angle of the wheels alone decides."""
-    for i in range(x.size):
-        x[i] = measured[i] if math.isfinite(measured[i]) else 0.0
-        d[i] = 0.0
-    d[0] = measured[4] if math.isfinite(measured[4]) else 0.5
-
-
-def test_an_estimator_sees_the_angle_of_the_wheels_in_both_drivers():
-    estimator = UserEstimator(from_the_wheels, label="wheels")
-    mpc = MPC(CAR, Tuning(20, 4, 1.0, 3000.0), period=0.05, estimator=estimator)
-    assert same(*(drive(SingleTrack(CAR), mpc, SHORT, profile="road") for drive in (simulate, rollout)))
-
-
 # -- what the profile stands for --------------------------------------------------------------------------------------
 def test_a_delay_shifts_the_steering_by_one_period():
     delayed = Profile(name="delayed", steering=SteeringActuator.ideal(), delay=1)
@@ -662,24 +539,11 @@ def test_on_a_straight_road_without_wind_nothing_moves(plant):
     assert run.X[-1] == pytest.approx(15.0 * 0.9, rel=1e-12)
 
 
-@pytest.mark.compiled
-def test_a_side_wind_blows_the_car_downwind_before_it_is_corrected():
-    for wind, sign in ((10.0, 1.0), (-10.0, -1.0)):
-        run = simulate(DualTrack(CAR), published_mpc(CAR, CALM), straight_then(wind=wind))
-        assert sign * run.Y[run.Y.size // 4] > 0.0
-
-
 def test_the_recorded_acceleration_is_that_of_the_recorded_motion():
     run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM, period=0.005), SHORT.with_duration(0.6))
     change = np.diff(run.vy) / run.period  # over the period that begins with the recorded instant
     assert run.lateral_acceleration[:-1] == pytest.approx(change + (run.vx * run.yaw_rate)[:-1], abs=0.1)
     assert np.abs(run.lateral_acceleration).max() > 2.0
-
-
-def test_a_run_starts_where_the_scenario_says():
-    scenario = straight_then(start_y=0.4, start_heading=0.05, speed=12.0, duration=0.3)
-    run = simulate(SingleTrack(CAR), published_mpc(CAR), scenario)
-    assert (run.X[0], run.Y[0], run.psi[0], run.vx[0]) == (0.0, 0.4, 0.05, 12.0)
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------
@@ -697,30 +561,6 @@ def test_the_default_steps_leave_less_than_a_millimetre(profile, plant, tyre):
 
 
 # -- records and refusals ---------------------------------------------------------------------------------------------
-def test_a_trajectory_knows_where_it_comes_from():
-    mpc = published_mpc(CAR, CALM, preview=True)
-    run = simulate(DualTrack(CAR, "passenger-car"), mpc, SHORT, profile="road", seed=4, driver=Driver())
-    wanted = {"scenario": "lane-change", "plant": "dual-track", "tyre": "passenger-car", "vehicle": "paper"}
-    wanted |= {"profile": "road", "seed": 4, "preview": True, "speed": "driver", "controller": "standard MPC (pulse)"}
-    assert {key: run.meta[key] for key in wanted} == wanted
-    assert run.meta["tuning"] == {"Np": 25, "Nc": 6, "Q": 1.0, "R": 30.0}
-    assert (run.tuning["Np"] == 25).all()
-    assert (run.tuning["Q"] == 1.0).all()
-    assert (run.step_time > 0.0).all()
-    assert np.isnan(rollout(SingleTrack(CAR), mpc, SHORT).step_time).all()
-
-
-def test_progress_is_reported_from_nothing_to_everything():
-    heard = []
-    simulate(SingleTrack(CAR), published_mpc(CAR), SHORT, progress=lambda done, of: heard.append((done, of)))
-    assert heard[0] == (0, 15)
-    assert heard[-1] == (15, 15)
-
-
-def test_the_drivers_numbers_are_checked():
-    for arguments in ({"preview": 0.0}, {"preview": math.nan}, {"integral": -0.1}, {"integral": math.inf}):
-        with pytest.raises(InvalidInput, match="Driver"):
-            Driver(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -754,40 +594,13 @@ def test_a_batch_refuses_what_does_not_fit(arguments):
         rollout_batch(**given)
 
 
-def test_a_compiled_run_refuses_a_controller_that_needs_python():
-    for mpc in (published_mpc(CAR, scheduler=lambda variables: CALM), published_mpc(CAR, solver=Daqp())):
-        with pytest.raises(InvalidInput, match="simulate"):
-            rollout(SingleTrack(CAR), mpc, SHORT)
-
-
-def test_a_misspelt_profile_is_named():
-    with pytest.raises(UnknownName, match="'road'"):
-        simulate(SingleTrack(CAR), published_mpc(CAR), SHORT, profile="raod")
-
-
-@pytest.mark.parametrize("columns", [loop.SIGNAL, kernel.ANSWER, kernel.TUNING, contract.STATE, contract.INPUT])
-def test_the_kernels_columns_have_names_of_their_own(columns):
-    assert list(columns) == list(range(len(columns)))
-    with pytest.raises(ValueError, match="duplicate"):
-        names_of_columns("speed", "speed")
-
-
-@pytest.mark.parametrize(
-    "structure",
-    [loop.Settings, loop.OWN, kernel.MEMORY, period.RESULT],
-    ids=lambda s: s._fields[0],
-)
-def test_the_kernels_rows_have_fields_of_their_own(structure):
-    assert structure.dtype.names == structure._fields
-    assert len(set(structure._fields)) == len(structure._fields)
-    row = structure.new(2, **{structure._fields[-1]: 3})
-    assert row[structure._fields[-1]].tolist() == [3, 3]
-    assert all((row[name] == 0).all() for name in structure._fields[:-1])
-    with pytest.raises((KeyError, ValueError)):
-        structure.new(**{"no such field": 1.0})
-
-
 @pytest.mark.parametrize(("mass", "power"), [(-1.0, 1e5), (math.nan, 1e5), (1000.0, -5.0)])
 def test_a_users_plant_refuses_an_impossible_powertrain(mass, power):
     with pytest.raises((InvalidInput, ContractError)):
         UserPlant(bicycle, {}, mass=mass, engine_power=power)
+
+
+def test_a_run_starts_where_the_scenario_says():
+    scenario = straight_then(start_y=0.4, start_heading=0.05, speed=12.0, duration=0.3)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR), scenario)
+    assert (run.X[0], run.Y[0], run.psi[0], run.vx[0]) == (0.0, 0.4, 0.05, 12.0)

@@ -15,9 +15,8 @@ from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley, Tuning
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.tracker import Status, Tracker, yaw_of
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
-from adaptrack.road.table import Pieces
 from adaptrack.scenario.profile import load_profile
-from foreign_loop import Bicycle, drive, on_road, steady_turn, window
+from foreign_loop import drive, on_road, steady_turn, window
 
 CAR = load_vehicle("paper")
 ROAD = generate_road("country", seed=1, length=1500.0)
@@ -91,11 +90,6 @@ def test_a_filter_that_takes_nothing_late_is_told_of(caplog):
     assert np.abs(driven.offset).max() < 0.1
 
 
-def test_a_loop_at_half_the_rate_drives():
-    driven = drive(Tracker(informed(), ROAD), ROAD, 15.0, period=0.1, noise=EXACT)
-    assert driven.rms < 0.01
-
-
 def test_what_is_not_measured_may_be_left_out():
     """The yaw rate is then that of the path, the speed the last one that was told."""
     tracker = Tracker(informed(), CIRCLE)
@@ -151,12 +145,6 @@ def test_a_wheel_angle_is_taken_over_before_the_first_position():
     told = tracker.step(0.0, math.nan, math.nan, math.nan, 10.0, wheel_angle=0.2)
     assert told[:2] == (0.2, Status.HELD)
     assert math.isnan(told.offset)
-
-
-def test_a_first_sample_that_is_late_is_where_the_car_was():
-    tracker = Tracker(informed(), SHORT)
-    assert tracker.step(0.0, 1.0, 0.0, 0.0, 10.0, 0.0, now=1.0).status is Status.HELD
-    assert tracker.step(1.0, 10.0, 0.0, 0.0, 10.0, 0.0, now=1.1).station == pytest.approx(11.0)
 
 
 # -- delays of the loop -----------------------------------------------------------------------------------------------
@@ -215,19 +203,6 @@ def test_where_no_foot_is_about_the_last_one_the_car_is_off_the_path_until_it_be
     again = tracker.step(1.0, 0.2, 209.0, math.pi / 2, 20.0, 0.0)
     assert again.status is Status.OK
     assert again.station == pytest.approx(200.0 * math.pi, abs=10.0)
-
-
-def test_no_step_looks_through_a_long_path(monkeypatch):
-    asked, at = [], Pieces.at
-    monkeypatch.setattr(Pieces, "at", lambda *given: asked.append(np.size(given[1])) or at(*given))
-    long = Road.from_segments([Line(length=20_000.0)])
-    tracker = Tracker(informed(), SHORT)
-    at_rest(tracker, speed=10.0)
-    tracker.follow(long)
-    tracker.step(0.05, 0.5, 0.0, 0.0, 10.0, 0.0)
-    tracker = Tracker(informed(), long.replace(name="another"))
-    assert tracker.step(0.0, 15_000.0, 0.1, 0.0, 10.0, 0.0).station == pytest.approx(15_000.0)
-    assert max(asked) <= 100
 
 
 def test_a_car_that_lies_exactly_on_a_circle_is_steered_as_one_a_nanometre_beside():
@@ -456,12 +431,3 @@ def test_the_yaw_of_a_pitched_car_is_that_of_its_axis():
 def test_what_is_no_rotation_is_refused(quaternion):
     with pytest.raises(InvalidInput, match="four finite numbers"):
         yaw_of(quaternion)
-
-
-def test_the_bicycle_of_the_tests_turns_as_the_formula_says():
-    """The reference itself: in the steady turn nothing changes."""
-    drift, rate, angle = steady_turn(1 / 60, 15.0)
-    car = Bicycle(speed=15.0, vy=drift, yaw_rate=rate, angle=angle)
-    for _ in range(100):
-        car.step(angle, 0.002)
-    assert (car.vy, car.yaw_rate) == pytest.approx((drift, rate), rel=1e-9)

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct
-from adaptrack.core.tracker.after import tracker_after
-from adaptrack.core.tracker.before import tracker_before
 from adaptrack.core.tracker.follow import tracker_follow
-from adaptrack.core.tracker.give import tracker_engage, tracker_give
-from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, REQUEST, SAMPLE, TRACKED
+from adaptrack.core.tracker.give import tracker_engage
+from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, SAMPLE, TRACKED
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.ahead import pack_roads, stacked
-from references.daqp import Daqp
 
 pytestmark = pytest.mark.kernels
 CAR = load_vehicle("paper")
@@ -114,16 +109,6 @@ def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rn
     assert math.isfinite(one.command)
 
 
-def test_a_copy_of_the_arrays_goes_on_as_the_tracker_itself(rng):
-    tracking, step = compiled(MAKERS["Stanley"]())
-    rows = list(wild_calls(rng, ROAD, 60))
-    for row in rows[:30]:
-        call(tracking, step, *row)
-    kept = copy.deepcopy(tracking)
-    for row in rows[30:]:
-        np.testing.assert_array_equal(call(tracking, step, *row), call(kept, stepper(kept), *row))
-
-
 # -- hostile calls ----------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", ["informed", "learning", "published", "Stanley"])
@@ -167,21 +152,6 @@ def test_an_angle_that_is_no_number_engages_nothing():
     assert tracking.tracker.tracked[TRACKED.command] == MAKERS["LQR"]().limits.angle[1]
 
 
-def test_kernels_called_out_of_their_order_wait_for_what_is_due():
-    tracker = tracking_of(MAKERS["LQR"](), ROAD).tracker
-    tracker_after(tracker)
-    assert tracker_before(tracker) == 0
-    tracker.sample[: SAMPLE.yaw_rate] = 0.0, 0.0, 0.0, 0.2, 0.0, 10.0
-    tracker_give(tracker)
-    assert [tracker_before(tracker) for _ in range(3)] == [1, 1, 1]
-    assert tracker.memory[0].instant == 0
-    tracker.answer[:] = math.nan, 0.0, -1.0, -1.0
-    tracker_after(tracker)
-    tracker_after(tracker)
-    assert tracker_before(tracker) == 0
-    assert tracker.tracked[: TRACKED.offset].tolist() == [0.0, HELD]  # a controller without an answer
-
-
 def test_without_a_path_the_command_is_held():
     tracking, step = compiled(MAKERS["LQR"]())
     bare = tracking._replace(tracker=tracking.tracker._replace(path=pack_roads([])))
@@ -212,26 +182,6 @@ def test_a_car_that_is_not_about_the_hint_is_off_its_path():
     assert tracker.step(0.1, 100.0, 0.0, 0.0, 10.0).station == pytest.approx(100.0)
 
 
-@pytest.mark.parametrize("near", [0.0, 100.0, 500.0, CIRCLE.length - 1.0, -1e3, 1e6])
-def test_on_a_short_lap_every_hint_finds_the_nearest_foot(near):
-    tracker = Tracker(Stanley(CAR, period=0.05), CIRCLE)
-    tracker.engage(near=near)
-    place = CIRCLE.at(250.0)
-    found = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
-    assert found.station == pytest.approx(250.0, abs=1e-6)
-
-
-def test_about_the_seam_of_a_long_lap_both_sides_count():
-    lap = Road.from_segments([Arc(length=1000.0 * math.pi, curvature=1 / 500)] * 2, closed=True)
-    for s in (lap.length - 100.0, 100.0):
-        place = lap.at(s)
-        for near in (0.0, lap.length, lap.length - 250.0, 250.0):
-            tracker = Tracker(Stanley(CAR, period=0.05), lap)
-            tracker.engage(near=near)
-            found = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
-            assert found.station == pytest.approx(s, abs=1e-6)
-
-
 # -- schedules --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("known", "friction", "wind"), [((0.5, 6.0), 0.5, 6.0), ((math.nan, math.nan), 0.65, 0.0)])
 def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(known, friction, wind):
@@ -240,13 +190,6 @@ def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(known, frict
     found = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *known)
     wanted = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-found[TRACKED.offset]))
     assert tracking.step.tuning.tolist() == pytest.approx(list(wanted), rel=1e-12)
-
-
-def test_only_what_is_compiled_makes_a_tracker_of_kernels_alone():
-    with pytest.raises(InvalidInput, match="is not compiled"):
-        tracking_of(published_mpc(CAR, scheduler=lambda variables: (10, 2, 1.0, 1.0)), ROAD)
-    with pytest.raises(InvalidInput, match="is not compiled"):
-        tracking_of(published_mpc(CAR, solver=Daqp()), ROAD)
 
 
 # -- the plan of the speed --------------------------------------------------------------------------------------------
@@ -258,10 +201,3 @@ def test_between_the_places_of_a_plan_the_square_of_the_speed_is_straight(closed
     np.testing.assert_allclose(plan.at(s), np.sqrt(np.interp(inside, plan.s, plan.speed**2)), rtol=1e-15, atol=0.0)
     assert plan.at(3.0).shape == ()
     assert plan.at(np.zeros((2, 3))).shape == (2, 3)
-
-
-def test_what_the_tracker_asks_for_is_done_once():
-    tracker = Tracker(MAKERS["informed"](), ROAD)
-    tracker.step(0.0, 0.0, 0.2, 0.0, 10.0)
-    tracker.follow(ROAD)
-    assert not tracker._kernel.request[: REQUEST.turned].any()

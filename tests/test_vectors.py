@@ -75,7 +75,3 @@ def test_an_entry_that_is_not_finite_is_noticed(value):
     assert ask(A)
     A[0, 6] = value
     assert not ask(A)
-
-
-def test_rows_are_padded_to_a_multiple_of_eight():
-    assert [vectors.padded(n) for n in (0, 1, 8, 9, 16)] == [0, 8, 8, 16, 16]

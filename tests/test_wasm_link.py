@@ -86,24 +86,6 @@ def told(module, folder, name):
     return json.loads(done.stdout)
 
 
-def test_code_data_stack_and_table_of_a_linked_object_are_where_they_must_be(tmp_path):
-    expected = []
-    for i in range(5):
-        expected += [i**2, (4 - i) ** 2, (4 - i) ** 2, 1.5 * (i + 1)]
-    module = linked(emit(TEXT, "wasm32"))
-    assert told(module, tmp_path, "own.wasm") == [*expected, 9, 0, True]
-
-
-def test_llvms_linker_makes_the_same(tmp_path):
-    linker = find_program("wasm-ld")
-    content = emit(TEXT, "wasm32")
-    (tmp_path / "given.o").write_bytes(content)
-    options = ["--no-entry", "--export-dynamic", "--export-table", "--growable-table", "-o", str(tmp_path / "ld.wasm")]
-    subprocess.run([linker, *options, str(tmp_path / "given.o")], check=True)
-    theirs = told((tmp_path / "ld.wasm").read_bytes(), tmp_path, "ld.wasm")
-    assert told(linked(content), tmp_path, "own.wasm") == theirs
-
-
 def test_a_stack_that_is_too_small_is_a_trap_and_overwrites_nothing(tmp_path):
     module = linked(emit(TEXT, "wasm32"), stack=16)
     with pytest.raises(subprocess.CalledProcessError) as raised:

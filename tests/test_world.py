@@ -121,19 +121,6 @@ def test_the_measured_speed_is_off_by_its_share():
     assert np.std(told[:, 4] / run.vx - 1.0) == pytest.approx(0.01, rel=0.1)
 
 
-@pytest.mark.parametrize("name", ["road", "production"])
-def test_the_compiled_run_and_the_one_from_python_meet_the_same_world(name):
-    scenario = at.load_scenario("double-lane-change")
-    profile = load_profile(name).replace(missing=0.05, motion_age=0.03)
-    bent = profile.steering.replace(dead_time=0.07, bias=0.01)
-    profile = profile.replace(steering=bent)
-    one = simulate(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile, seed=11)
-    other = rollout(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile, seed=11)
-    for quantity in ("X", "Y", "psi", "command", "steering"):
-        np.testing.assert_array_equal(getattr(one, quantity), getattr(other, quantity))
-    assert one.failed is None
-
-
 @pytest.mark.parametrize("speed", [10.0, 20.0, 27.0])
 @pytest.mark.parametrize(("bias", "bank"), [(0.01, 0.0), (0.0, 0.05), (0.01, 0.05)])
 def test_a_steering_bias_and_a_banked_road_leave_no_offset(speed, bias, bank):

@@ -1,55 +1,55 @@
-"""Timings of the package on the machine at hand, beside a plain NumPy + DAQP controller in the same run.
+"""Timings of the package on the machine at hand.
 
     python -m tools.bench step [--count N]          # one control step called from Python
     python -m tools.bench rollout [--points N]      # the compiled batch of runs
-    python -m tools.bench campaign [--points N]     # swarms and landscape on a sample of the paper's campaign
+    python -m tools.bench controllers [--count N]   # the controllers of the profiles, compiled and from Python
+    python -m tools.bench tracker [--count N]       # a call of the tracker, and the controller's step inside it
+    python -m tools.bench environments [--count N]  # environments of N cars beside `rollout_batch`
 
 Nothing else should run on the machine. `--json` prints JSON.
 
-The baseline is the textbook loop: matrices of eqs. (8)-(17) formed with NumPy and `scipy.linalg.expm` at every step,
-the QP handed to DAQP's Python interface. Its vehicle is ours, compiled, so the ratio is the controller's; BLAS is held
-to one thread, which is the fastest for matrices this small.
+The baseline of `step` and `rollout` is the textbook loop: matrices of eqs. (8)-(17) formed with NumPy and
+`scipy.linalg.expm` at every step, the QP handed to DAQP's Python interface. Its vehicle is ours, compiled, so the ratio
+is the controller's; BLAS is held to one thread, which is the fastest for matrices this small.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import math
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import adaptrack as at
 from adaptrack.cars.plant import DualTrack, Plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, Controller, MPCCommand, Tuning, published_mpc
 from adaptrack.control.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.control.qp import QPStatus
-from adaptrack.control.scheduling import ENTRIES, VARIABLES, Learned, Network, Schedule, SchedulingVariables, Sugeno
+from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.library import kernels_hash
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.simulate import simulate
-from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
+from adaptrack.scenario import Constant, Scenario, Sine, load_scenario, random_drive
 
 Array = NDArray[np.float64]
 
 NP, NC, Q, R = (1, 55), (1, 18), (0.1, 10.0), (0.001, 0.1)
-SEARCH: dict[str, tuple[float, float]] = {"Np": NP, "Nc": NC, "Q": Q, "R": R}
 """The authors' bounds of the particle swarm."""
 SPEEDS, AMPLITUDES, FRICTIONS, WINDS = (3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)
 """The paper's operating domain: m/s, m, -, m/s."""
 NEVER = Failure(1000.0, math.inf)
 """No run is ended before its time: what is timed is always the same work."""
-RULES = 50
-"""of a fuzzy system that is timed; clustering makes 44 to 60 of the authors' data"""
 
 
 class PlainController(Controller):
@@ -117,104 +117,41 @@ class PlainController(Controller):
 
 
 def bench_step(count: int = 4000) -> dict[str, Any]:
-    """Median, 99th percentile and longest (microseconds) of one `MPC.step`, limits active half the time.
+    """Microseconds of one `MPC.step` at 35/8/10/0.01 and of `PlainController`: median, 99th percentile and longest.
 
-    `step`: at 35/8/10/0.01; `nn`: scheduled by four 4-16-8-1 networks; `anfis`: by four fuzzy systems of `RULES` rules
-    on the four inputs, all of them with random numbers; `python_daqp`: `PlainController` at 35/8/10/0.01. Speed and
-    scheduling variables change at every step, so that the schedule is asked, the model discretised and the QP formed
-    and factorised anew each time. `nn_kernel`, `anfis_kernel`: the schedule alone, compiled.
+    Limits are active half the time. The speed changes at every step, so that the model is discretised and the QP formed
+    and factorised anew each time.
     """
     car = load_vehicle("paper")
     rng = np.random.default_rng(0)
     calm = np.arange(count) % 2 == 0
     states = rng.normal(size=(count, 4)) * [0.1, 0.02, 0.02, 0.0]
     references = np.where(calm, 0.01, rng.choice([-8.0, 8.0], size=count))
-    low, high = np.array([SPEEDS, AMPLITUDES, FRICTIONS, WINDS]).T
-    rows = rng.uniform(low, high, (count, 4))
-    rows[:, 1] = references
-    looks = [SchedulingVariables(*row) for row in rows.tolist()]
-    schedules = {"nn": _networks(rng), "anfis": _fuzzy_systems(rng)}
-    scheduled = {name: published_mpc(car, Tuning(), scheduler=schedule) for name, schedule in schedules.items()}
+    speeds = rng.uniform(*SPEEDS, count)
 
     def timed(controller: Any, repeats: int) -> tuple[Array, float]:
         times, active = np.empty(repeats), 0
         for i in range(repeats):
             controller.reset() if isinstance(controller, PlainController) else _rest(controller)
-            state, reference, variables = states[i], references[i : i + 1], looks[i]
+            state, reference, speed = states[i], references[i : i + 1], float(speeds[i])
             begun = time.perf_counter_ns()
-            command = controller.step(state, variables.speed, reference, variables)
+            command = controller.step(state, speed, reference)
             times[i] = time.perf_counter_ns() - begun
             active += command.iterations > 0
         return times / 1e3, active / repeats
 
-    found: dict[str, Any] = {}
-    plain = PlainController(car, Tuning())
-    for name, controller in {"step": published_mpc(car), **scheduled, "python_daqp": plain}.items():
+    figures: dict[str, Any] = {}
+    for name, controller in {"step": published_mpc(car), "python_daqp": PlainController(car, Tuning())}.items():
         repeats = min(count, max(200, count // 10)) if name == "python_daqp" else count
         with one_blas_thread():
             timed(controller, min(count, 50))
             times, active = timed(controller, repeats)
         for key, value in (("p50", np.median(times)), ("p99", np.percentile(times, 99)), ("max", times.max())):
-            found[f"{name}_us_{key}"] = float(value)
+            figures[f"{name}_us_{key}"] = float(value)
         if name == "step":
-            found["limits_active"] = active
-    for name, schedule in schedules.items():
-        found[f"{name}_kernel_us"] = _schedule_us(schedule, rng.uniform(low, high, (10_000, 4)))
-    for name, key in (("step", ""), ("nn", "nn_"), ("anfis", "anfis_")):
-        found[f"{key}ratio_to_python_daqp"] = found["python_daqp_us_p50"] / found[f"{name}_us_p50"]
-    return {**found, "steps": count, "np": 35, "nc": 8, "rules": RULES, **_machine()}
-
-
-def _networks(rng: np.random.Generator) -> Schedule:
-    """Four networks of the paper's size, their outputs all over the bounds of the swarm."""
-    domain = np.array([SPEEDS, AMPLITUDES, FRICTIONS, WINDS])
-    bottom, top = domain.T
-
-    def network(low: float, high: float) -> Network:
-        weights = [3.0 * rng.normal(size=size) / np.sqrt(size[0]) for size in ((4, 16), (16, 8), (8, 1))]
-        biases = [rng.normal(size=16), rng.normal(size=8), np.zeros(1)]
-        raw = Network(bottom, top, tuple(weights), tuple(biases), 0.0, 1.0, relu=False)
-        least, most = np.quantile(raw.predict(rng.uniform(bottom, top, (500, 4))), (0.05, 0.95))
-        weights[2], biases[2] = weights[2] / (most - least), np.array([-least / (most - least)])
-        return Network(bottom, top, tuple(weights), tuple(biases), low, high)
-
-    return _learned({slot: network(*bounds) for slot, bounds in SEARCH.items()}, domain)
-
-
-def _fuzzy_systems(rng: np.random.Generator) -> Schedule:
-    """Four fuzzy systems of rules that share no membership function, as subtractive clustering makes them."""
-    domain = np.array([SPEEDS, AMPLITUDES, FRICTIONS, WINDS])
-    width = domain[:, 1] - domain[:, 0]
-
-    def system(low: float, high: float) -> Sugeno:
-        centres = rng.uniform(domain[:, 0], domain[:, 1], (RULES, 4)).ravel()
-        premises = np.column_stack((np.tile(0.5 / np.sqrt(8.0) * width, RULES), np.ones(4 * RULES), centres))
-        consequents = np.column_stack((rng.normal(size=(RULES, 4)) / width, rng.uniform(0.0, 1.0, RULES)))
-        consequents *= high - low
-        consequents[:, -1] += low
-        owner, rules = np.tile(np.arange(4), RULES), np.arange(4 * RULES).reshape(RULES, 4)
-        return Sugeno(owner, np.zeros(4 * RULES, bool), premises, rules, consequents, np.ones(RULES))
-
-    return _learned({slot: system(*bounds) for slot, bounds in SEARCH.items()}, domain)
-
-
-def _learned(functions: Mapping[str, Network | Sugeno], domain: Array) -> Schedule:
-    return Learned(functions, ("speed", "y_ref", "friction", "wind"), domain, SEARCH)
-
-
-def _schedule_us(schedule: Schedule, variables: Array, pieces: int = 100) -> float:
-    """Microseconds that the kernel of a schedule takes for a row of variables: all in `pieces` calls, the median."""
-    from adaptrack.core import schedule as kernel
-
-    rows = np.zeros((len(variables), len(VARIABLES)))
-    rows[:, : variables.shape[1]] = variables
-    plan, times = schedule.plan(1), []
-    for piece in np.array_split(rows, pieces):
-        tunings = np.empty((len(piece), len(ENTRIES)))
-        begun = time.perf_counter()
-        kernel.schedule_all(piece, plan, tunings)
-        times.append((time.perf_counter() - begun) / len(piece))
-    return 1e6 * float(np.median(times))
+            figures["limits_active"] = active
+    ratio = figures["python_daqp_us_p50"] / figures["step_us_p50"]
+    return {**figures, "ratio_to_python_daqp": ratio, "steps": count, **_machine()}
 
 
 def _rest(mpc: MPC) -> None:
@@ -282,92 +219,6 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     }
 
 
-def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str, Any]:
-    """Swarms (20 particles, 15 generations) and a landscape of 160 tunings on a sample of the paper's grid.
-
-    control_steps_per_s counts the steps simulated; a swarm's runs that cannot improve any more are stopped, so
-    `nominal_steps_per_s`, the steps that whole runs would have had, is higher. `ratio_to_python_daqp`: nominal rate
-    over that of `PlainController` at the same operating points; `ratio_to_scalar`: over one run at a time on one
-    thread, the same kernels with a single slot.
-    """
-    from adaptrack.paper.campaign_config import load_campaign
-    from adaptrack.paper.operating_points import paper_grid
-    from adaptrack.tuning.objective import Objective
-
-    threads = threads or os.cpu_count() or 1
-    car = load_vehicle("paper")
-    driven = DualTrack(car, "magic-formula")
-    objective = Objective(driven, published_mpc(car), failure=NEVER)
-    campaign = load_campaign("paper-grid")
-    library = campaign.library.rows(campaign.search)
-    grid = paper_grid()
-    sample = grid[np.random.default_rng(0).choice(len(grid), conditions, replace=False)]
-
-    def swarms() -> tuple[int, int]:
-        with ThreadPoolExecutor(threads) as pool:
-            found = list(pool.map(lambda i: objective.tune(sample[i], campaign.swarm, 1, i), range(conditions)))
-        return sum(one.control_steps for one in found), sum(one.evaluations for one in found)
-
-    def landscapes() -> int:
-        with ThreadPoolExecutor(threads) as pool:
-            return sum(costs.size for costs in pool.map(lambda c: objective.landscape(c, library), sample))
-
-    objective.tune(sample[0])  # warm
-    begun = time.perf_counter()
-    steps, runs = swarms()
-    swarm_time = time.perf_counter() - begun
-    begun = time.perf_counter()
-    rows = landscapes()
-    landscape_time = time.perf_counter() - begun
-    nominal = (runs + rows) * 180 / (swarm_time + landscape_time)
-
-    begun = time.perf_counter()
-    few = library[:: max(1, len(library) // 24)]
-    for tuning in few:
-        objective.costs(sample[0], tuning[None])
-    scalar = len(few) * 180 / (time.perf_counter() - begun)
-    sampled = zip(sample[:6], few, strict=False)
-    plain = _plain_rate([(driven, objective.scenario(point), tuning) for point, tuning in sampled])
-    return {
-        "control_steps_per_s": (steps + rows * 180) / (swarm_time + landscape_time),
-        "nominal_steps_per_s": nominal,
-        "swarm_nominal_steps_per_s": runs * 180 / swarm_time,
-        "landscape_steps_per_s": rows * 180 / landscape_time,
-        "runs_per_s": (runs + rows) / (swarm_time + landscape_time),
-        "ratio_to_python_daqp": nominal / plain,
-        "ratio_to_scalar": nominal / scalar,
-        "step_ns_per_core": 1e9 * threads * (swarm_time + landscape_time) / (steps + rows * 180),
-        "of_which_plant_ns": _plant_ns(driven, sample),
-        "python_daqp_steps_per_s": plain,
-        "scalar_steps_per_s": scalar,
-        "conditions": conditions,
-        "threads": threads,
-        **_machine(),
-    }
-
-
-def _plant_ns(plant: Plant, points: Array) -> float:
-    """Nanoseconds that a full batch's integration takes per vehicle and control period, mean over the points."""
-    from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES, vehicle_batch
-
-    period, advance = 0.1, plant.compiled.advance
-    start = np.zeros((SLOTS, len(plant.state_names)))
-    vehicles = vehicle_batch(plant.compiled, plant.packed(), start)
-    rows = vehicles.block.reshape(-1, SLOTS)
-    times = []
-    for speed in points[:, 0]:
-        steps = plant.substeps(period, float(speed))
-        rows[:] = 0.0
-        rows[STATE.vx], rows[STATES + INPUT.command] = speed, 0.02
-        rows[STATES + INPUT.friction_front_left : STATES + INPUT.wind_x] = 0.7
-        begun = time.perf_counter()
-        for _ in range(20):
-            v = vehicles
-            advance(v.member, v.parameters, v.block, v.states, v.work, SLOTS, steps, period / steps)
-        times.append((time.perf_counter() - begun) / 20)
-    return 1e9 * float(np.median(times)) / SLOTS
-
-
 def one_blas_thread() -> Any:
     """A context in which BLAS runs on one thread (two on small matrices are slower, and far slower on a busy core)."""
     from threadpoolctl import threadpool_limits
@@ -407,26 +258,212 @@ def _machine() -> dict[str, Any]:
     }
 
 
+# -- controllers on random drives -------------------------------------------------------------------------------------
+REPEATS = 5
+"""of a drive; of each step the shortest time counts, so that other work on the machine does not"""
+FIRST_DRIVE = 9_300_000
+
+
+class RecordingMPC(MPC):
+    """An MPC that keeps its inputs."""
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.inputs: list[tuple[Any, ...]] = []
+        super().reset()
+
+    def step(self, state: Any, speed: float, reference: Any, variables: Any = None, road: Any = None) -> Any:
+        """As the MPC."""
+        self.inputs.append((np.array(state), speed, np.array(reference[:64])))
+        return super().step(state, speed, reference, variables)
+
+
+def _published(kind: type, car: Vehicle) -> Any:
+    """The paper's MPC as an object of this class."""
+    paper = published_mpc(car)
+    return kind(car, model=paper.model, estimator=paper.estimator)
+
+
+MPCS: dict[str, tuple[str, Callable[[type, Vehicle], Any]]] = {
+    "informed, road": ("road", lambda kind, car: kind(car, profile="road")),
+    "informed, production": ("production", lambda kind, car: kind(car, profile="production")),
+    "published, paper": ("paper", _published),
+}
+"""Profile and maker by name."""
+
+
+def bench_controllers(drives: int = 20) -> dict[str, Any]:
+    """Percentiles of the CPU microseconds of a step on random drives, compiled and called from Python."""
+    car = load_vehicle("paper")
+    figures: dict[str, Any] = {}
+    for name, (profile, make) in MPCS.items():
+        python, compiled = [], []
+        for number in range(drives):
+            recorder = make(RecordingMPC, car)
+            simulate(DualTrack(car), recorder, random_drive(FIRST_DRIVE + number), profile=profile, seed=number)
+            fresh = [make(MPC, car) for _ in range(2 * REPEATS)]
+            inputs = recorder.inputs
+            python.append(np.min([_cpu_us(mpc.step, inputs) for mpc in fresh[:REPEATS]], axis=0))
+            steps = [_cpu_us(mpc._compiled_step(), inputs, mpc._take) for mpc in fresh[REPEATS:]]
+            compiled.append(np.min(steps, axis=0))
+        for where, times in (("python", np.concatenate(python)), ("compiled", np.concatenate(compiled))):
+            for share in (50.0, 99.0, 99.9):
+                figures[f"{name}, {where}_p{share:g}_us"] = round(float(np.percentile(times, share)), 2)
+    return {**figures, "drives": drives, **_machine()}
+
+
+def _cpu_us(step: Callable[..., Any], inputs: list[Any], write: Callable[..., None] | None = None) -> Array:
+    """CPU microseconds of each call (calls,); write: takes the arguments before the clock starts."""
+    times, clock = np.empty(len(inputs)), time.thread_time_ns
+    empty = np.median([clock() - clock() for _ in range(2000)])
+    gc.collect()
+    gc.disable()
+    for i, arguments in enumerate(inputs):
+        if write is not None:
+            write(*arguments, None, None)
+            arguments = ()
+        begun = clock()
+        step(*arguments)
+        times[i] = clock() - begun
+    gc.enable()
+    return (times + empty) / 1e3
+
+
+# -- the tracker ------------------------------------------------------------------------------------------------------
+def bench_tracker(calls: int = 20_000) -> dict[str, Any]:
+    """Microseconds of a compiled tracker call and of `Tracker.step`, by controller: median and 99.9th percentile.
+
+    Calls at 20 Hz along a country road with a planned speed and noise.
+    """
+    from adaptrack.control.tracking import tracking_of
+    from adaptrack.core.kernel import direct
+    from adaptrack.core.tracker.step import tracker_step, tracker_step_law
+
+    car, road = load_vehicle("paper"), at.generate_road("country", seed=1, length=3000.0)
+    plan = at.plan_speed(road, car)
+    rows = _samples(road, plan, calls)
+    controllers: dict[str, Callable[[], Any]] = {
+        "informed": lambda: MPC(car, profile="road"),
+        "informed, production": lambda: MPC(car, profile="production"),
+        "learning": lambda: MPC(car, profile="road", learning=at.Learning()),
+        "published": lambda: published_mpc(car, period=0.05),
+        "LQR": lambda: at.LQR(car, period=0.05),
+    }
+    figures: dict[str, Any] = {}
+    for name, make in controllers.items():
+        controller = make()
+        tracking = tracking_of(controller, road, plan)
+        kernel = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, tracking)
+        sample, tracker = tracking.tracker.sample, at.Tracker(make(), road, plan=plan)
+        compiled, python = np.empty(calls), np.empty(min(calls, 5000))
+        for k in range(calls):
+            sample[:10] = rows[k]
+            begun = time.perf_counter_ns()
+            kernel()
+            compiled[k] = 1e-3 * (time.perf_counter_ns() - begun)
+        for k, (t, now, x, y, yaw, speed, yaw_rate, *_) in enumerate(rows[: len(python)].tolist()):
+            begun = time.perf_counter_ns()
+            tracker.step(t, x, y, yaw, speed, yaw_rate, lateral_velocity=0.0, now=now)
+            python[k] = 1e-3 * (time.perf_counter_ns() - begun)
+        for where, times in (("compiled", compiled), ("python", python)):
+            figures[f"{name}, {where}_p50_us"] = float(np.median(times))
+            figures[f"{name}, {where}_p99.9_us"] = float(np.quantile(times, 0.999))
+    return {**figures, "calls": calls, **_machine()}
+
+
+def _samples(road: Any, plan: Any, calls: int) -> Array:
+    """(calls, 10) t, now, x, y, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle."""
+    rng, rows, s = np.random.default_rng(1), np.full((calls, 10), math.nan), 20.0
+    for k in range(calls):
+        speed, point = float(plan.at(s)), road.at(s)
+        rows[k, :8] = 0.05 * k, 0.05 * k, point.x, point.y, point.heading, speed, speed * point.curvature, 0.0
+        s += 0.05 * speed
+        if s > road.length - 100.0:
+            s = 20.0
+    rows[:, 2:7] += rng.normal(size=(calls, 5)) * (0.02, 0.02, 0.002, 0.02, 0.005)
+    return rows
+
+
+# -- environments -----------------------------------------------------------------------------------------------------
+TASK: dict[str, Any] = {"road": "country:1", "length": 1000.0}
+GAINS = np.array([-0.03, -0.4, 0, 0, 0, 0, 0, *[0] * 5, 0, 0, 2.9, 0, 0])
+"""of a steering law that stays on the road"""
+
+
+def bench_environments(cars: int = 64) -> dict[str, Any]:
+    """Control steps per second of environments of many cars on one thread, beside `rollout_batch`; medians of 5 rounds.
+
+    Environments come back to Python at every step (`MPCTuning`: every 10 control periods). The policy is not timed.
+    """
+    from adaptrack.gym import MPCTuningVectorEnv, PathTrackingVectorEnv
+
+    tuning = MPCTuningVectorEnv(cars, threads=1, **TASK)
+    middle = 0.5 * (tuning.tunings.low[2] + tuning.tunings.high[2])
+    actions = np.tile(tuning.tunings.action(30, 10, middle), (cars, 1))
+    steering = PathTrackingVectorEnv(cars, threads=1, **TASK)
+    random_cars = PathTrackingVectorEnv(cars, threads=1, random_cars=True, **TASK)
+
+    def steer(observations: Array) -> Array:
+        return (observations @ GAINS)[:, None]
+
+    measures: dict[str, Callable[[], float]] = {
+        "rollout_batch, informed": lambda: _rollout_rate("informed", cars),
+        "rollout_batch, pure-pursuit": lambda: _rollout_rate("pure-pursuit", cars),
+        "PathTracking": lambda: _environment_rate(steering, steer, 600, 1),
+        "PathTracking, random cars": lambda: _environment_rate(random_cars, steer, 300, 1),
+        "MPCTuning": lambda: _environment_rate(tuning, lambda observations: actions, 60, 10),
+    }
+    rounds = [{name: measure() for name, measure in measures.items()} for _ in range(6)][1:]  # the first one warms
+    medians = {name: float(np.median([rates[name] for rates in rounds])) for name in measures}
+    return {**medians, "cars": cars, **_machine()}
+
+
+def _rollout_rate(controller: str, cars: int) -> float:
+    """Control steps per second of whole runs without Python between the steps."""
+    from adaptrack.gym import Task
+
+    car = load_vehicle("paper")
+    drive, plant = Task(**TASK).drive(0, car), at.get_plant("dual-track", car)
+    law = at.get_controller(controller, car, profile="road", period=0.05, preview=True)
+    begun = time.perf_counter()
+    batch = rollout_batch(
+        plant, law, drive, which=np.zeros(cars, int), profile="road", seeds=np.arange(cars), threads=1
+    )  # fmt: skip
+    return float(batch.steps.sum() / (time.perf_counter() - begun))
+
+
+def _environment_rate(environment: Any, policy: Callable[[Array], Any], steps: int, periods: int) -> float:
+    """Control steps per second of an environment; periods: of control in each of its steps."""
+    observations, seconds = environment.reset(seed=1)[0], 0.0
+    for _ in range(steps):
+        action = policy(observations)
+        begun = time.perf_counter()
+        observations, *_ = environment.step(action)
+        seconds += time.perf_counter() - begun
+    return environment.num_envs * steps * periods / seconds
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench", description="Time the package on this machine.")
     commands = parser.add_subparsers(required=True)
-    for name, measure, what, count in (
-        ("step", bench_step, "control steps to time", ("--count", 4000)),
-        ("rollout", bench_rollout, "operating points to run, 20 tunings each", ("--points", 150)),
-        ("campaign", bench_campaign, "operating points of the paper's grid to tune", ("--points", 48)),
+    for name, measure, help_text, count in (
+        ("step", bench_step, "control steps to time", 4000),
+        ("rollout", bench_rollout, "operating points to run, 20 tunings each", 150),
+        ("controllers", bench_controllers, "random drives", 20),
+        ("tracker", bench_tracker, "calls to time", 20_000),
+        ("environments", bench_environments, "cars of an environment", 64),
     ):
         command = commands.add_parser(name, help=(measure.__doc__ or "").split("\n")[0])
-        option, default = count
-        command.add_argument(option, type=int, default=default, dest="count", help=f"{what} (default {default})")
+        command.add_argument("--count", type=int, default=count, help=f"{help_text} (default {count})")
         command.add_argument("--json", action="store_true", dest="as_json", help="print JSON")
         command.set_defaults(measure=measure)
-    chosen = parser.parse_args()
-    found = chosen.measure(chosen.count)
-    if chosen.as_json:
-        print(json.dumps(found, indent=1))
+    options = parser.parse_args()
+    figures = options.measure(options.count)
+    if options.as_json:
+        print(json.dumps(figures, indent=1))
     else:
-        print(*(f"{name.replace('_', ' '):40} {value}" for name, value in found.items()), sep="\n")
+        print(*(f"{name.replace('_', ' '):40} {value}" for name, value in figures.items()), sep="\n")
 
 
 if __name__ == "__main__":

@@ -38,9 +38,3 @@ def hildreth(
         if ((lam - previous) ** 2).sum() < tolerance:
             break
     return -np.linalg.solve(E, K + M.T @ lam), lam, sweeps
-
-
-def dual_objective(E: Array, K: Array, M: Array, gamma: Array, lam: Array) -> float:
-    """min over x of the Lagrangian, -(1/2) (K + M'lam)' E^-1 (K + M'lam) - lam'gamma: what the procedure ascends."""
-    force = K + M.T @ lam
-    return float(-0.5 * force @ np.linalg.solve(E, force) - lam @ gamma)

@@ -2,7 +2,6 @@
 
     python -m tools.fuzz run --steps 100000 --seed 1     # counts; a failing input is saved as a file
     python -m tools.fuzz replay FILE                     # prints what fails
-    python -m tools.fuzz attack                          # whole commands: files, disks, signals; see `attacks`
     python -m tools.fuzz constants --unnoticed           # of exported C libraries, see `constants`
 
 A case is a configuration and a list of inputs, both plain numbers and text, drawn from a seed. `targets` says what must

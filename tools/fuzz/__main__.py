@@ -1,4 +1,4 @@
-"""The command: `python -m tools.fuzz run`, `replay FILE`, `attack` or `constants`."""
+"""The command: `python -m tools.fuzz run`, `replay FILE` or `constants`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from tools.fuzz import constants
-from tools.fuzz.attacks import ATTACKS, attack
 from tools.fuzz.batch import search_compiled
 from tools.fuzz.search import Found, load, replay, save, search, shortened
 from tools.fuzz.targets import TARGETS
@@ -60,11 +59,6 @@ def _replay(chosen: argparse.Namespace) -> int:
     return 1
 
 
-def _attack(chosen: argparse.Namespace) -> int:
-    """Attack commands with files, disks and signals; 1 when something failed."""
-    return int(any(attack(chosen.name, chosen.seed).values()))
-
-
 def _constants(chosen: argparse.Namespace) -> int:
     """Change the constants of exported C libraries; 1 where one is wrong, crashes or hangs."""
     failed = 0
@@ -99,10 +93,6 @@ def main() -> int:
     again = commands.add_parser("replay", help="go through a saved case again")
     again.add_argument("file", type=Path)
     again.set_defaults(act=_replay)
-    attacks = commands.add_parser("attack", help="attack whole commands with files, disks and signals")
-    attacks.add_argument("name", nargs="*", metavar="NAME", help=f"all by default: {', '.join(ATTACKS)}")
-    attacks.add_argument("--seed", type=int, default=1)
-    attacks.set_defaults(act=_attack)
     change = commands.add_parser("constants", help="change the constants of exported C libraries")
     change.add_argument("--count", type=int, default=1000, help="changes of each controller")
     change.add_argument("--seed", type=int, default=1)

@@ -165,7 +165,7 @@ class _Car(Plant):
 
         The fast modes are the tyres' relaxation, v/sigma, and, without relaxation, the lateral and yaw motion at
         the lowest speed of the slip angles (1 m/s). What remains, against steps 20 times finer, is below 0.25 mm in
-        the closed loops of the paper's tests; `benchmarks/integration_step.py` measures it open loop, where
+        the closed loops of the paper's tests; in open loop (`integration_step.py` in the benchmarks of commit c623557)
         steering that jumps on saturating tyres with a short relaxation length leaves up to 31 mm after 5 s.
         """
         if self.steps is not None:

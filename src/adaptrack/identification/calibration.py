@@ -7,9 +7,9 @@ number is fitted (a brush tyre at a quarter of its grip is 8 % softer than its s
 there driving and braking forces, which no log of this kind holds, turn the car, too.
 
 The factors are such that 90 % intervals held the truth in 90 % of training logs: of a foreign plant
-(`benchmarks/identifying_foreign.py`, seeds from 40000), and for the steering offset and the understeer gradient own
-windy drives (`benchmarks/identifying.py`, seeds 1300 to 1359). How well intervals hold on kinds of logs that the
-factors were not found on, the first of these prints.
+(`identifying_foreign.py` in the benchmarks of commit c623557, seeds from 40000), and for the steering offset and the
+understeer gradient our windy drives (`identifying.py` there, seeds 1300 to 1359). docs/identify.md says how well
+intervals hold on other kinds of logs.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@ place off.
 
 Arithmetic is that of IEEE 754 and exact multiply-adds, so every processor gives the same bits (but those of a NaN).
 Where more than 53 bits are needed a number is the sum of two floats, with the error terms of Dekker (A floating-point
-technique for extending the available precision, Numerische Mathematik 18, 1971). The coefficients are computed by
-`benchmarks/elementary_coefficients.py`.
+technique for extending the available precision, Numerische Mathematik 18, 1971). The coefficients were
+computed by `elementary_coefficients.py` in the benchmarks of commit c623557.
 
 `exp` is free of branches: loops that call it become vector instructions.
 """
