@@ -281,6 +281,8 @@ def _next_step(given: DriveOptions, places: Places, rows: Sequence[dict[str, Any
     words = (*road, "--vehicle", given.car.vehicle, "--profile", places.profile.name)
     if given.tuning:
         return "to judge the tuning with other noise", command("evaluate", *words, "--tuning", given.tuning[0])
+    if given.scheduler is not None:
+        return "to certify the scheduler", command("certify", given.scheduler)
     best = min(rows, key=lambda row: row["mse"])["controller"]
     return f"to tune {best} for this road", command("tune", *words, "--controller", best, "--out", "tuning.toml")
 
