@@ -270,7 +270,7 @@ def _stiffness_notes(loop: Loop) -> list[str]:
 
 def _next_step(given: DriveOptions, places: Places, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
     """What to do after the runs, and the command."""
-    away = any(row["failed"] or (row["in_lane"] or 0.0) < 1.0 for row in rows)
+    away = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
     if places.road is not None and away:
         return _slower(given, places.road)
     if given.drive.out is None:

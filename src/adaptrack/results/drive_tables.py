@@ -179,7 +179,8 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """The table that the console prints; rows: the measures of each run, with `scenario` and `controller`."""
-    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    empty = dict.fromkeys(column.name for column in CONSOLE)  # a run of one instant has no measures of its path
+    shown = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
     return ResultTable("console", title, CONSOLE, shown, brief=True)
 
 
