@@ -104,8 +104,8 @@ _TROUBLES = ("qp_capped", "qp_failed", "held")
 
 def rows_of(runs: Sequence[Shown]) -> list[dict[str, Any]]:
     """A row for each run of a scenario: its measures, its tuning and the paper's error."""
-    kept = [run.metrics.mse for run in runs if not run.metrics.failed]
-    smallest = min(kept) if kept and len(runs) > 1 else None
+    errors = [run.metrics.mse for run in runs if not run.metrics.failed]
+    smallest = min(errors) if errors and len(runs) > 1 else None
     return [_row(run) | {"best": not run.metrics.failed and run.metrics.mse == smallest} for run in runs]
 
 
