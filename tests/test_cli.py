@@ -11,7 +11,7 @@ import pytest
 import typer
 
 from adaptrack import cli
-from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.errors import StorageError
 from adaptrack.cli import options
 from adaptrack.cli.app import app
 from adaptrack.control.scheduling import list_schedulers
@@ -129,33 +129,6 @@ def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, 
     assert code == 0, err
     assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "fuzzy")]
     assert (tmp_path / "sine-fuzzy.parquet").exists()
-
-
-def test_train_learns_with_the_seed_that_is_given(monkeypatch, capsys, tmp_path, data):
-    def learn(dataset, model, targets, *, seed=0, progress=None):
-        raise InvalidInput(f"seed {seed}")
-
-    monkeypatch.setattr("adaptrack.paper.training.train", learn)
-    asked = ["paper", "train", "--data", data, "--model", "nn", "--out", tmp_path / "nn.json", "--seed", "7"]
-    assert run(monkeypatch, capsys, *asked) == (2, "", "adaptrack: seed 7\n")
-
-
-def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path, data):
-    arguments = [
-        "paper",
-        "train",
-        "--data",
-        data,
-        "--model",
-        "anfis",
-        "--targets",
-        "ratio",
-        "--out",
-        tmp_path / "fuzzy.json",
-    ]
-    code, out, _ = run(monkeypatch, capsys, *arguments)
-    assert code == 0
-    assert all(word in out for word in ("held out", "log10_ratio", "of trees", "fuzzy.json"))
 
 
 def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_path, data):

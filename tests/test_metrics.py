@@ -79,47 +79,31 @@ def test_heading_is_judged_only_at_one_metre_per_second_or_more():
     assert math.isnan(compute_metrics(record(vx=0.0)).heading_rms)
 
 
-def test_limits_are_read_from_their_bits():
-    metrics = compute_metrics(record(n=8, at_limit=[0, 1, 2, 3, 4, 5, 0, 0]))
+def test_limits_qps_and_held_angles_are_counted_up_to_the_end_of_the_run():
+    command = np.append(np.zeros(8), [NAN, NAN])
+    run = record(
+        n=10, command=command, at_limit=[0, 1, 2, 3, 4, 5, 0, 0, 7, 7], qp_status=[0, 0, 0, 1, 2, 3, 4, 9, 0, 0],
+        held=[0, 0, 0, 1, 1, 1, 1, 1, 1, 1], qp_residual=[1e-12, NAN, 1e-9, 1e-3, 7.0, 7.0, 7.0, 7.0, 7.0, 7.0],
+        step_time=1e-6 * np.arange(10),
+    )  # fmt: skip
+    metrics = compute_metrics(run)
+    assert (metrics.steps, metrics.driven) == (10, 8)
     assert (metrics.at_change_limit, metrics.at_angle_limit, metrics.at_output_limit) == (3 / 8, 2 / 8, 2 / 8)
     assert metrics.at_any_limit == 5 / 8
-
-
-def test_every_qp_is_solved_capped_or_failed():
-    metrics = compute_metrics(record(n=8, qp_status=[0, 0, 0, 1, 2, 3, 4, 9], held=[0, 0, 0, 1, 1, 1, 1, 1]))
     assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.held) == (3, 1, 4, 5)
-
-
-def test_periods_without_a_position_count_until_the_angle_is_held():
-    run = record(n=6, held=[0, 0, 0, 0, 1, 1])
-    said = {**run.diagnostics, "dead_reckoning": np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])}
-    metrics = compute_metrics(dataclasses.replace(run, diagnostics=said))
-    assert (metrics.dead_reckoning, metrics.dead_reckoning_max, metrics.held) == (3, 0.5, 2)
-    silent = compute_metrics(run)
-    assert silent.dead_reckoning == 0
-    assert math.isnan(silent.dead_reckoning_max)
-
-
-def test_periods_after_the_end_of_a_run_count_neither_as_failed_nor_as_held():
-    command = np.array([0, 0, 0, 0, 0, NAN, NAN, NAN])
-    run = record(n=8, command=command, qp_status=[0, 0, 0, 1, 2, 3, 3, 3], held=command != 0, at_limit=[1] + [0] * 7)
-    metrics = compute_metrics(run)
-    assert (metrics.steps, metrics.driven) == (8, 5)
-    assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.held) == (3, 1, 1, 0)
-    assert metrics.at_change_limit == 1 / 5
-
-
-def test_residuals_of_failed_qps_do_not_count():
-    metrics = compute_metrics(record(n=4, qp_status=[0, 1, 2, 0], qp_residual=[1e-12, 1e-3, 7.0, NAN]))
     assert metrics.qp_residual_max == 1e-3
+    assert (metrics.step_us_p50, metrics.step_us_max) == (pytest.approx(4.5), pytest.approx(9.0))
+    reckoned = {**run.diagnostics, "dead_reckoning": 0.1 * np.arange(10.0)}
+    blind = compute_metrics(dataclasses.replace(run, diagnostics=reckoned))
+    assert (blind.dead_reckoning, blind.dead_reckoning_max) == (2, pytest.approx(0.7))
 
 
-def test_step_times_are_in_microseconds_and_unmeasured_ones_are_nan():
-    metrics = compute_metrics(record(n=101, step_time=1e-6 * np.arange(101)))
-    assert metrics.step_us_p50 == pytest.approx(50.0)
-    assert metrics.step_us_p99 == pytest.approx(99.0)
-    assert metrics.step_us_max == pytest.approx(100.0)
-    assert math.isnan(compute_metrics(record()).step_us_p50)
+def test_what_a_controller_does_not_record_is_unknown():
+    metrics = compute_metrics(record(Y=1.0, diagnostics={}))
+    assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.dead_reckoning) == (0, 0, 0, 0)
+    for name in ("qp_residual_max", "qp_iterations_mean", "at_any_limit", "dead_reckoning_max", "step_us_p50"):
+        assert math.isnan(getattr(metrics, name)), name
+    assert (metrics.mse, metrics.failed) == (1.0, False)
 
 
 @pytest.mark.parametrize("name", ["X", "Y", "psi", "vx", "vy", "yaw_rate", "steering", "command"])
@@ -155,14 +139,6 @@ def test_mirrored_runs_have_the_same_measures(errors):
     left = compute_metrics(record(n=values.size, **signals))
     right = compute_metrics(record(n=values.size, **{key: -value for key, value in signals.items()}))
     assert left.as_row() == pytest.approx(right.as_row())
-
-
-def test_a_controller_without_qp_has_no_qps_and_unknown_limits():
-    metrics = compute_metrics(record(Y=1.0, diagnostics={}))
-    assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.qp_iterations_max) == (0, 0, 0, 0)
-    for name in ("qp_residual_max", "qp_iterations_mean", "at_change_limit", "at_output_limit", "at_any_limit"):
-        assert math.isnan(getattr(metrics, name)), name
-    assert (metrics.mse, metrics.failed) == (1.0, False)
 
 
 def test_the_rule_of_failure_can_be_chosen():

@@ -25,7 +25,6 @@ from adaptrack.base.result import (
     Result,
     ResultTable,
     Scale,
-    strokes,
 )
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
@@ -33,7 +32,6 @@ from adaptrack.results import draw, page, style, words, write_drive_page, write_
 from adaptrack.results.dots import Dot, notes
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
-from adaptrack.results.maps import edges_around
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from pictures import pictures
 
@@ -168,15 +166,6 @@ def test_the_page_needs_nothing_but_itself(report):
                 assert tag == "a"
                 assert (folder / target).is_file(), target
     assert not re.search(r"https?://|url\((?!#)", text)
-
-
-@pytest.mark.drawn
-def test_whole_numbers_have_ticks_at_whole_numbers():
-    for high in (7, 10, 12, 23, 30, 99):
-        figure = style.panel_figure(lambda axes, high=high: axes.plot([0, high], [0, high]))
-        style.inline_svg(figure, "p1", "A line")
-        step = np.diff(figure.axes[0].get_yticks())[0]
-        assert round(step / 10.0 ** np.floor(np.log10(step) + 1e-9), 6) in (1.0, 2.0, 5.0)
 
 
 def test_steering_has_degrees_beside_radians_and_shows_the_wheels():
@@ -427,35 +416,6 @@ def test_figures_leave_the_users_matplotlib_alone():
     assert dict(mpl.rcParams) == before
 
 
-def test_eighteen_controllers_have_eighteen_strokes():
-    drawn = strokes(f"c{i}" for i in range(18))
-    assert len({(s.colour, str(s.dash)) for s in drawn.values()}) == 18
-
-
-# Linear-light simulation of dichromacy: Viénot, Brettel and Mollon (1999), in linear sRGB.
-DICHROMACY = {
-    "protan": [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]],
-    "deutan": [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
-    "normal": np.eye(3).tolist(),
-}
-
-
-def lab(colour, matrix):
-    """CIE L*a*b* (D65) of an sRGB colour seen through `matrix`."""
-    rgb = np.array(mpl.colors.to_rgb(colour))
-    linear = np.clip(np.array(matrix) @ np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4), 0, 1)
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ linear
-    f = np.cbrt(xyz / [0.9505, 1.0, 1.089])
-    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
-
-
-@pytest.mark.parametrize("vision", DICHROMACY)
-def test_neighbouring_colours_differ_for_colour_blind_readers(vision):
-    seen = [lab(colour, DICHROMACY[vision]) for colour in style.SERIES]
-    gaps = [np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]]
-    assert min(gaps) > 12.0  # a just noticeable difference is about 2.3
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -493,14 +453,6 @@ def test_a_logarithmic_axis_has_round_numbers_however_short_it_is(low, high, tic
     assert [label.get_text() for label in axes.get_yticklabels()] == [f"{tick:g}" for tick in ticks]
 
 
-def test_a_logarithmic_axis_without_limits_has_those_of_its_curves():
-    axes = Figure().subplots()
-    axes.margins(0.0)
-    axes.plot([1.0, 2.0], [0.2, 40.0])
-    style.logarithmic(axes, "y")
-    assert axes.get_ylim() == pytest.approx((0.2, 40.0))
-
-
 def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once():
     titles = {"One": "Share (%)", "Two": "Share (%)", "Three": "Cost (m²)"}
     panels = [Panel(title, Axis(), Axis(label), [], "") for title, label in titles.items()]
@@ -514,12 +466,6 @@ def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once()
 def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
     panel = Panel(r"$\log_{10} R/Q$", Axis(), Axis(), [], r"Over $|y_\mathrm{ref}|$: 3 to 4.")
     assert draw.described(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
-
-
-def test_cells_of_a_heat_map_lie_around_their_levels():
-    assert edges_around(np.array([2.0, 4.0, 10.0])) == pytest.approx([1.0, 3.0, 7.0, 13.0])
-    assert edges_around(np.array([0.7])) == pytest.approx([0.63, 0.77])
-    assert edges_around(np.array([0.0])) == pytest.approx([-0.5, 0.5])
 
 
 def test_the_colours_of_several_maps_span_all_their_numbers():
@@ -545,13 +491,6 @@ def test_words_apart_from_their_point_are_joined_to_it():
     (words,) = axes.texts
     assert (words.get_text(), words.xy, words.xyann) == ("here", (1.0, 2.0), (1.5, 2.5))
     assert words.arrow_patch is not None
-
-
-def test_many_names_along_an_axis_stand_upright():
-    for count, turned in ((2, 0.0), (5, 90.0)):
-        names = [f"road {i}" for i in range(count)]
-        axes = draw.panel_figure(Panel("", Axis(names=names), Axis(), [Dots([0.0], [1.0])], "")).axes[0]
-        assert {label.get_rotation() for label in axes.get_xticklabels()} == {turned}
 
 
 def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():

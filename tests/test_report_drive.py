@@ -129,14 +129,6 @@ def test_axles_lie_inside_the_drawn_body(name):
     assert max(shape.track_front, shape.track_rear) < shape.outline.width
 
 
-def test_made_drives_are_where_the_road_says():
-    drive = made_drive()
-    feet = drive.road.project(drive.x, drive.y)
-    assert feet.s == pytest.approx(drive.station, abs=1e-6)
-    assert feet.offset == pytest.approx(drive.offset, abs=1e-9)
-    assert np.diff(drive.time) == pytest.approx(PERIOD)
-
-
 def test_along_a_road_the_signals_are_drawn_over_the_station():
     run = made_run(v_ref=np.full(len(made_drive()), 11.0))
     figure = print_figure(tracking_picture({"a": run.trajectory}))

@@ -233,18 +233,6 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
         tune_constant(runs, noise_seeds=())
 
 
-@pytest.mark.compiled
-def test_the_trajectories_of_a_run_set_are_those_of_each_drive_alone():
-    runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
-    seeds = range(20)  # 40 runs: more than one block of slots
-    for law in (runs.mpc, PurePursuit(CAR, period=0.05, preview=True)):
-        found = runs.trajectories(law, seeds)
-        for k, seed in ((0, 0), (0, 19), (1, 19)):
-            alone = rollout(PLANT, law, runs.scenarios[k], profile="road", seed=seed)
-            for name, values in alone.columns().items():
-                np.testing.assert_array_equal(found[k][seed].columns()[name], values)
-
-
 def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
     law = PurePursuit(CAR, period=0.05, preview=True)
     runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")

@@ -58,7 +58,7 @@ class DriveOptions:
 
 
 @options.grouped
-def drive(given: DriveOptions) -> None:
+def drive(arguments: DriveOptions) -> None:
     """Drive scenarios, or along a road with a planned speed.
 
     Along a road the speed is planned from curvature, friction and the car, unless --speed sets one. A run that leaves
@@ -66,17 +66,17 @@ def drive(given: DriveOptions) -> None:
     """
     from adaptrack.results.drive import write_page
 
-    settings = given.drive
-    car, plant = given.car.load()
+    settings = arguments.drive
+    car, plant = arguments.car.load()
     settings.make_places()
-    places = given.place.load(car, _held_speeds(given))
-    loop = Loop(car, plant, places, _make_controllers(given, places, car, plant))
+    places = arguments.place.load(car, _held_speeds(arguments))
+    loop = Loop(car, plant, places, _make_controllers(arguments, places, car, plant))
     places.warn(car)
     runs = list(_drive(settings, loop))
     rows = [measured_row(run, places) for run in runs]
     failed = any(row["failed"] for row in rows)
     _say_failures(rows, settings.as_json)
-    result = _result(given, loop, runs, rows)
+    result = _result(arguments, loop, runs, rows)
     page = None
     if settings.out is not None:
         with show.progress("write the page"):
@@ -99,38 +99,40 @@ class Loop:
 
 
 # -- controllers and runs ---------------------------------------------------------------------------------------------
-def _make_controllers(given: DriveOptions, places: Places, car: Vehicle, plant: Any) -> list[tuple[str, Controller]]:
+def _make_controllers(
+    arguments: DriveOptions, places: Places, car: Vehicle, plant: Any
+) -> list[tuple[str, Controller]]:
     """The controllers by their labels, those made for another car certified."""
     from adaptrack.cli.new_car import certify_meeting
     from adaptrack.control.controllers import MPC
     from adaptrack.control.scheduling import load_scheduler
 
-    world, published, named = places.profile, given.published, given.scheduler
+    world, published, named = places.profile, arguments.published, arguments.scheduler
     preview = True if places.road is not None else world.preview
     settings = controllers.ControllerSettings(
         car=car, profile=world, tuning=published.tuning, moves=published.make_moves(), solver=published.solver,
-        period=world.period if given.drive.period is None else given.drive.period,
+        period=world.period if arguments.drive.period is None else arguments.drive.period,
         preview=preview if published.preview is None else published.preview,
         schedule=None if named is None else load_scheduler(named),
         label="" if named is None else Path(named).stem if named.endswith(".json") else named,
-        learning=controllers.make_learning(given.drive.learn, given.drive.learned),
+        learning=controllers.make_learning(arguments.drive.learn, arguments.drive.learned),
     )  # fmt: skip
-    default = [] if given.tuning else [settings.default_name]
-    drivers = [controllers.make_controller(name, settings) for name in dict.fromkeys(given.controller or default)]
+    default = [] if arguments.tuning else [settings.default_name]
+    drivers = [controllers.make_controller(name, settings) for name in dict.fromkeys(arguments.controller or default)]
     for label, controller in drivers:
         if isinstance(controller, MPC):
-            certify_meeting(label, controller, plant, car, world, given.drive.allow_failed)
-    for file in dict.fromkeys(given.tuning or []):
+            certify_meeting(label, controller, plant, car, world, arguments.drive.allow_failed)
+    for file in dict.fromkeys(arguments.tuning or []):
         drivers.append(controllers.make_tuned(file, settings))
-        controllers.certify_tuned(file, drivers[-1][1], settings, plant, given.drive.allow_failed)
+        controllers.certify_tuned(file, drivers[-1][1], settings, plant, arguments.drive.allow_failed)
     return drivers
 
 
-def _held_speeds(given: DriveOptions) -> HoldableSpeed | None:
+def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
     """The speeds that the margins of the first tuning's file hold."""
     from adaptrack.tuning.constant_file import load_tuning
 
-    return next((load_tuning(file).holds for file in given.tuning or []), None)
+    return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
 
 def _drive(settings: options.DriveSettings, loop: Loop) -> Iterator[Run]:
@@ -198,7 +200,7 @@ def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
             )
 
 
-def _result(given: DriveOptions, loop: Loop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:
+def _result(arguments: DriveOptions, loop: Loop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:
     """The result with learned quantities, notes on speeds, steering and QPs, and the next step."""
     from adaptrack.results.drive import drive_result
     from adaptrack.results.road import limits_in_words, limits_record
@@ -217,7 +219,7 @@ def _result(given: DriveOptions, loop: Loop, runs: Sequence[Run], rows: Sequence
     limits = None if plan is None else limits_record(plan)
     return replace(
         result, tables=[*result.tables, *tables], notes=[note for note in notes if note],
-        record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(given, loop.places, rows)),
+        record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(arguments, loop.places, rows)),
     )  # fmt: skip
 
 
@@ -268,29 +270,31 @@ def _stiffness_notes(loop: Loop) -> list[str]:
     ]
 
 
-def _next_step(given: DriveOptions, places: Places, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
+def _next_step(arguments: DriveOptions, places: Places, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
     """What to do after the runs, and the command."""
-    away = any(row["failed"] or (row["in_lane"] or 0.0) < 1.0 for row in rows)
+    away = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
     if places.road is not None and away:
-        return _slower(given, places.road)
-    if given.drive.out is None:
+        return _slower(arguments, places.road)
+    if arguments.drive.out is None:
         return "to see the drive on a page", again("--out", "drive")
     if places.road is None:
-        return "to drive a road", command("drive", "country", "--vehicle", given.car.vehicle)
-    road, setting = given.place.names[0], ("--profile", places.profile.name)
-    if given.tuning:
-        tuned = ("--vehicle", given.car.vehicle, *setting, "--tuning", given.tuning[0])
+        return "to drive a road", command("drive", "country", "--vehicle", arguments.car.vehicle)
+    road, setting = arguments.place.names[0], ("--profile", places.profile.name)
+    if arguments.tuning:
+        tuned = ("--vehicle", arguments.car.vehicle, *setting, "--tuning", arguments.tuning[0])
         return "to judge the tuning with other noise", command("compare", road, *tuned)
+    if arguments.scheduler is not None:
+        return "to certify the scheduler", command("certify", arguments.scheduler)
     best = min(rows, key=lambda row: row["mse"])["controller"]
     chosen = (*setting, "--controller", best, "--out", "tuned")
-    return f"to tune {best} for this road", command("tune", given.car.vehicle, "--road", road, *chosen)
+    return f"to tune {best} for this road", command("tune", arguments.car.vehicle, "--road", road, *chosen)
 
 
-def _slower(given: DriveOptions, road: CheckedRoad) -> tuple[str, str]:
+def _slower(arguments: DriveOptions, road: CheckedRoad) -> tuple[str, str]:
     """After a drive that left its lane: check a road that cannot be driven, else drive more slowly."""
-    route = given.place.route
+    route = arguments.place.route
     if not road.drivable:
-        words = (given.place.names[0], "--vehicle", given.car.vehicle, *route.words)
+        words = (arguments.place.names[0], "--vehicle", arguments.car.vehicle, *route.words)
         return "to see the places that cannot be driven", command("road", "check", *words)
     if route.speed is not None:
         return "to stay in the lane, drive more slowly", instead("--speed", round(SLOWER * route.speed, 1))

@@ -152,8 +152,8 @@ def is_road(name: str) -> bool:
     if name in scenarios and name in KINDS:
         raise InvalidInput(f"{name}: names a scenario and a kind of road; write the one you mean to a file.")
     if name not in scenarios and name not in KINDS:
-        known = did_you_mean(name, [*scenarios, *KINDS])
-        raise UnknownName(f"no scenario or road is named {name!r}. {known} A file ends in {', '.join(_ROAD_ENDINGS)}.")
+        hint = did_you_mean(name, [*scenarios, *KINDS])
+        raise UnknownName(f"no scenario or road is named {name!r}. {hint} A file ends in {', '.join(_ROAD_ENDINGS)}.")
     return name in KINDS
 
 

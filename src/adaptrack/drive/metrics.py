@@ -143,9 +143,9 @@ class Metrics:
         """(name, value, unit, meaning) of the measures, as far as `as_row` holds them."""
         on_path = not math.isnan(self.duration)
         return [
-            (each.name, getattr(self, each.name), each.metadata["unit"], each.metadata["meaning"])
-            for each in dataclasses.fields(self)
-            if on_path or not each.metadata["path"]
+            (column.name, getattr(self, column.name), column.metadata["unit"], column.metadata["meaning"])
+            for column in dataclasses.fields(self)
+            if on_path or not column.metadata["path"]
         ]
 
     def __str__(self) -> str:
@@ -395,17 +395,17 @@ def _path_measures(record: PathRecord, outline: Outline, lane_width: float, stee
 def belief_shares(trajectory: Trajectory) -> dict[str, Any]:
     """Share of the driven control periods in each state of what is learned, by `Metrics`' names; NaN: nothing is."""
     states = trajectory.diagnostics.get("belief_state", _NOTHING)
-    known = states[np.isfinite(trajectory.command)] if states.size else states
-    return {f"belief_{state.name.lower()}": _mean(known == state) for state in BeliefState}
+    states = states[np.isfinite(trajectory.command)] if states.size else states
+    return {f"belief_{state.name.lower()}": _mean(states == state) for state in BeliefState}
 
 
 def last_belief_state(trajectory: Trajectory) -> str:
     """The last state of what is learned, in words; empty where nothing is."""
     driven = np.flatnonzero(np.isfinite(trajectory.command))
-    said = trajectory.diagnostics
-    if "belief_state" not in said or not driven.size:
+    diagnostics = trajectory.diagnostics
+    if "belief_state" not in diagnostics or not driven.size:
         return ""
-    state, at_bound = (float(said[name][driven[-1]]) for name in ("belief_state", "belief_at_bound"))
+    state, at_bound = (float(diagnostics[name][driven[-1]]) for name in ("belief_state", "belief_at_bound"))
     return BeliefState(int(state)).words(bounded_quantity(at_bound))
 
 

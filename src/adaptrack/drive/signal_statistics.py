@@ -35,8 +35,8 @@ def largest_magnitude(values: Array) -> float:
 
 def largest_known(values: Array) -> float:
     """The largest value that is not NaN; NaN when there is none."""
-    known = values[~np.isnan(values)]
-    return float(np.max(known)) if known.size else math.nan
+    measured = values[~np.isnan(values)]
+    return float(np.max(measured)) if measured.size else math.nan
 
 
 def percentile_95(values: Array) -> float:

@@ -91,7 +91,7 @@ def drive_result(
     Parameters
     ----------
     rows
-        The measures of each run by name, for console and JSON.
+        The measures of all runs by name, for console and JSON.
     title
         When left out: the scenarios and the controllers.
     command
@@ -106,7 +106,7 @@ def drive_result(
         raise InvalidInput("report: at least one run is needed.")
     scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
     shown = [run for group in scenarios.values() for run in group]
-    own = strokes(run.label for run in shown)
+    line_styles = strokes(run.label for run in shown)
     stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
     failed = [_failure(run) for run in shown if run.metrics.failed]
     first = shown[0].trajectory
@@ -120,7 +120,7 @@ def drive_result(
             *(table for name, group in scenarios.items() for table in scenario_tables(name, group)),
             *([console_table(f"Profile {first.name_of('profile')}", rows)] if rows else []),
         ],
-        pictures=_pictures(scenarios, stems, own),
+        pictures=_pictures(scenarios, stems, line_styles),
         failed=bool(failed),
         headline=_failure_headline(failed, len(shown)),
         values={
@@ -200,16 +200,16 @@ def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
 
 def _answer(shown: Sequence[Shown]) -> str:
     """The smallest RMS error with its largest error; for several scenarios the largest error of all."""
-    kept = [run for run in shown if not run.metrics.failed]
-    failed = f"{len(shown) - len(kept)} of {len(shown)} runs failed."
-    if not kept:
+    completed = [run for run in shown if not run.metrics.failed]
+    failed = f"{len(shown) - len(completed)} of {len(shown)} runs failed."
+    if not completed:
         return failed
-    best = min(kept, key=lambda run: run.metrics.mse)
+    best = min(completed, key=lambda run: run.metrics.mse)
     errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
     if len(shown) == 1:
         return errors
     if len({run.trajectory.name_of("scenario") for run in shown}) > 1:
-        return f"Largest error {length(max(run.metrics.max_abs_error for run in kept))}. {failed}"
+        return f"Largest error {length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
     return f"{best.label}: {errors} {failed}"
 
 
@@ -232,33 +232,35 @@ def _drives(shown: Sequence[Shown]) -> dict[str, DriveRecord]:
     return {run.label: run.drive for run in shown if run.drive is not None}
 
 
-def _pictures(scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], own: Strokes) -> list[Picture]:
+def _pictures(
+    scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], line_styles: Strokes
+) -> list[Picture]:
     """The main picture first: the road from above, or the error of the first scenario; then all signals."""
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
     drives = _drives([run for group in scenarios.values() for run in group])
     first = next(iter(groups.values()))
-    error = replace(error_panel(as_lines(first, own)), title="")
-    key = [(label, own[label]) for label in first] if len(first) > 1 else []
+    error = replace(error_panel(as_lines(first, line_styles)), title="")
+    key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
         figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
         speeds = {title_of(name): runs for name, runs in groups.items()}
-        pictures.append(speed_picture(speeds, own, _cite(SPEED_CAPTION, figure)))
+        pictures.append(speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
     for name, runs in groups.items():
-        pictures += _signal_pictures(runs, own, stems[name])
+        pictures += _signal_pictures(runs, line_styles, stems[name])
     return pictures
 
 
-def _signal_pictures(runs: Mapping[str, Trajectory], own: Strokes, stem: str) -> list[Picture]:
+def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem: str) -> list[Picture]:
     """Tracking, conditions and learned quantities of the runs of one scenario or road."""
     caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
-    pictures = [tracking_picture(runs, own, f"{stem}-tracking", caption)]
+    pictures = [tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
     caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
-    conditions = conditions_picture(runs, own, f"{stem}-conditions", caption)
+    conditions = conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
     if conditions.panels[2:] or not any(run.road for run in runs.values()):
         pictures.append(conditions)
     if any(learned_quantities(run) for run in runs.values()):
-        pictures.append(learned_picture(runs, own, f"{stem}-learned"))
+        pictures.append(learned_picture(runs, line_styles, f"{stem}-learned"))
     return pictures
 
 

@@ -104,8 +104,8 @@ _TROUBLES = ("qp_capped", "qp_failed", "held")
 
 def rows_of(runs: Sequence[Shown]) -> list[dict[str, Any]]:
     """A row for each run of a scenario: its measures, its tuning and the paper's error."""
-    kept = [run.metrics.mse for run in runs if not run.metrics.failed]
-    smallest = min(kept) if kept and len(runs) > 1 else None
+    errors = [run.metrics.mse for run in runs if not run.metrics.failed]
+    smallest = min(errors) if errors and len(runs) > 1 else None
     return [_row(run) | {"best": not run.metrics.failed and run.metrics.mse == smallest} for run in runs]
 
 
@@ -179,7 +179,8 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """The table that the console prints; rows: the measures of each run, with `scenario` and `controller`."""
-    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    empty = dict.fromkeys(column.name for column in CONSOLE)  # a run of one instant has no measures of its path
+    shown = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
     return ResultTable("console", title, CONSOLE, shown, brief=True)
 
 

@@ -53,7 +53,7 @@ def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
     return learned
 
 
-def learned_picture(runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "learned") -> Picture:
+def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "learned") -> Picture:
     """The learned quantities over time, with one standard deviation to either side and, in simulation, the truth.
 
     Raises
@@ -61,7 +61,7 @@ def learned_picture(runs: Runs, own: Mapping[str, Stroke] | None = None, name: s
     InvalidInput
         When no controller has learned.
     """
-    lines = as_lines(runs, own)
+    lines = as_lines(runs, line_styles)
     learned = {line.label: learned_quantities(line.run) for line in lines}
     learners = [line for line in lines if learned[line.label]]
     if not learners:

@@ -64,7 +64,7 @@ class DrawnRun:
 Lines = Sequence[DrawnRun]
 
 
-def as_lines(runs: Runs, own: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
+def as_lines(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
     """The runs with their strokes, those that failed cut at the instant of the failure.
 
     Raises
@@ -74,15 +74,15 @@ def as_lines(runs: Runs, own: Mapping[str, Stroke] | None = None) -> list[DrawnR
     """
     if not runs:
         raise InvalidInput("figure: at least one run is needed.")
-    own = own or strokes(runs)
-    missing = [label for label in runs if label not in own]
+    line_styles = line_styles or strokes(runs)
+    missing = [label for label in runs if label not in line_styles]
     if missing:
         raise InvalidInput(f"figure: no stroke for {', '.join(map(repr, missing))}.")
     lines = []
     for label, run in runs.items():
         failed = find_failure(run)
         drawn = run if failed is None else run.between(run.t[0], _last_drawn(run, failed.step) + 0.5 * run.period)
-        lines.append(DrawnRun(label, drawn, own[label], failed is not None, float(run.t[-1]) + run.period))
+        lines.append(DrawnRun(label, drawn, line_styles[label], failed is not None, float(run.t[-1]) + run.period))
     return lines
 
 
@@ -313,11 +313,11 @@ def _frame(lines: Lines, value: Value) -> tuple[float | None, float | None, str]
     leaves the frame, and a line above the panel says how far it goes. A run that failed does not set the frame; where
     all failed, the range of their first 95 % does.
     """
-    kept = [line.run for line in lines if not line.failed]
-    if not kept:
-        kept = [line.run.between(end=line.run.t[0] + 0.95 * line.run.duration) for line in lines]
-    everything = _extent(np.concatenate([value(run) for run in kept]))
-    driving = _extent(np.concatenate([value(run)[run.vx >= CREEPING] for run in kept]))
+    framed = [line.run for line in lines if not line.failed]
+    if not framed:
+        framed = [line.run.between(end=line.run.t[0] + 0.95 * line.run.duration) for line in lines]
+    everything = _extent(np.concatenate([value(run) for run in framed]))
+    driving = _extent(np.concatenate([value(run)[run.vx >= CREEPING] for run in framed]))
     if everything is None:
         return None, None, ""
     remark, (low, high) = "", everything
@@ -336,20 +336,22 @@ def _extent(values: Array) -> tuple[float, float] | None:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def speed_picture(scenarios: Mapping[str, Runs], own: Mapping[str, Stroke] | None = None, caption: str = "") -> Picture:
+def speed_picture(
+    scenarios: Mapping[str, Runs], line_styles: Mapping[str, Stroke] | None = None, caption: str = ""
+) -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
-    own = own or strokes(label for runs in scenarios.values() for label in runs)
-    lines = {name: as_lines(runs, own) for name, runs in scenarios.items()}
+    line_styles = line_styles or strokes(label for runs in scenarios.values() for label in runs)
+    lines = {name: as_lines(runs, line_styles) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
     key = {"Profile": REFERENCE} | {line.label: line.stroke for group in lines.values() for line in group}
     return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
 def tracking_picture(
-    runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "tracking", caption: str = ""
+    runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "tracking", caption: str = ""
 ) -> Picture:
     """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
-    lines = as_lines(runs, own)
+    lines = as_lines(runs, line_styles)
     key = [("Reference", REFERENCE), *((line.label, line.stroke) for line in lines)]
     columns = 1 if any(run.road for run in runs.values()) else 2
     return Picture(
@@ -358,9 +360,9 @@ def tracking_picture(
 
 
 def conditions_picture(
-    runs: Runs, own: Mapping[str, Stroke] | None = None, name: str = "conditions", caption: str = ""
+    runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "conditions", caption: str = ""
 ) -> Picture:
     """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
-    lines = as_lines(runs, own)
+    lines = as_lines(runs, line_styles)
     key = [(line.label, line.stroke) for line in lines]
     return Picture(name, caption, condition_panels(lines), key, f"{name}.png")

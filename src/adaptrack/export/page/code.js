@@ -84,7 +84,7 @@ function commandOf(setup) {
   let vehicle = car.name ?? "my-car.toml";
   if (car.sheet) first.push(`adaptrack car ${Object.entries(car.sheet).map(([name, value]) => `--${name.replaceAll("_", "-")} ${value}`).join(" ")} --out my-car.toml`);
   if (car.file) vehicle = `${car.file.name ?? "my-car"}.toml`;
-  const parts = ["adaptrack drive", road.test ?? (road.points ? "road.csv" : road.name)];
+  const parts = ["adaptrack drive", road.test || (road.points ? "road.csv" : road.name)];
   parts.push(`--vehicle ${vehicle}`, `--profile ${profile}`);
   if (!road.test) parts.push(isSet(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
   if (generatedLength(road)) parts.push(`--length ${generatedLength(road)}`);
