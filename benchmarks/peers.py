@@ -33,9 +33,10 @@ from tools.bench import SEARCH, _machine, one_blas_thread
 
 import adaptrack as at
 from adaptrack.control.controllers import Command, Limits, Tuning, informed_tuning
-from adaptrack.control.kalman import KalmanFilter, wind_turn
+from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.control.scheduling import Learned, Sugeno
+from adaptrack.core.synthesis.car import wind_turn
 from adaptrack.scenario import random_drive
 
 PERIOD, HORIZON, MOVES = 0.05, 30, 10
@@ -133,7 +134,7 @@ class Filtered(AsMeasured):
         self.model, drifts = mpc.model, mpc.estimator.drifts
         assert abs(self.model.dead_time - PERIOD) < 1e-9  # one period of computation
         own = [getattr(drifts, name) ** 2 for name in self.model.states]
-        wind = drifts.wind * np.array([1.0, wind_turn(CAR)])
+        wind = drifts.wind * np.array([1.0, wind_turn(CAR.numbers)])
         self.Q = np.zeros((7, 7))
         self.Q[:5, :5], self.Q[5:, 5:] = np.diag(own), np.diag([drifts.side**2, drifts.turn**2]) + np.outer(wind, wind)
         self.Q *= PERIOD

@@ -136,8 +136,6 @@ def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
 ) -> Parts:
     """A model or an estimator of the caller's, the rest as in the paper."""
-    if not isinstance(estimator, Estimator | None):
-        raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
     own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
     if period not in (None, own.period):
         raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
@@ -232,8 +230,6 @@ class MPC(Controller):
         self.preview = parts.preview if preview is None else bool(preview)
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
-        if not isinstance(self.solver, QPSolver):
-            raise InvalidInput(f"MPC: solver = {solver!r}: must be 'active-set', 'hildreth' or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))
