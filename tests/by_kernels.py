@@ -5,7 +5,7 @@ import numpy as np
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers import informed as face
-from adaptrack.control.controllers.belief import UNKNOWN, known_steering
+from adaptrack.control.controllers.belief import UNKNOWN, steering_rows
 from adaptrack.core.controllers.mpc import Settings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import size_of
@@ -27,11 +27,11 @@ def ordered(vehicle, options):
     """The order of an MPC, and its parts with the usual filter."""
     name, mode = options.get("profile"), options.get("learning", "auto")
     world = load_profile(name or "road")
-    method = face.UNASKED if mode in (None, "auto") else mode
+    method = face.DEFAULT_LEARNING if mode in (None, "auto") else mode
     loop = world.numbers(world.period)
     loop.computation = 0.0 if name is None else loop.computation
     order = face._order(
-        vehicle, loop, known_steering(vehicle, options.get("belief"), world, name is not None),
+        vehicle, loop, steering_rows(vehicle, options.get("belief"), world, name is not None),
         options.get("uncertainty"), method,
     )  # fmt: skip
     order.learning = informed.NEVER if mode is None else informed.UNLESS_SAID

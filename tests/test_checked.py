@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import pytest
-from pydantic import Field, InstanceOf
+from pydantic import Field
 
 import adaptrack
 from adaptrack.base import checked as checks
@@ -50,7 +50,7 @@ def drive(
     weights: Mapping[str, NotNegative] | None = None,
     widths: Sequence[Count] = (1,),
     kind: Literal["pulse", "laguerre"] | None = None,
-    box: Annotated[InstanceOf[Box], Hint("Box(width) gives one")] | None = None,
+    unsure: Annotated[adaptrack.Uncertainty, Hint("Uncertainty(lag) gives one")] | None = None,
     pause: Annotated[Positive, "s"] | None = None,
     pole: Annotated[Finite, Field(ge=0.0, lt=1.0)] = 0.5,
 ) -> dict[str, Any]:
@@ -130,7 +130,7 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
         ({"widths": (1, 0)}, "drive: widths[1] = 0: must be a whole number >= 1."),
         ({"widths": 3}, "drive: widths = 3: must be a sequence."),
         ({"kind": "puls"}, "drive: kind = 'puls': must be one of 'pulse', 'laguerre' or None."),
-        ({"box": 2.0}, "drive: box = 2.0: must be a Box or None; Box(width) gives one."),
+        ({"unsure": 2.0}, "drive: unsure = 2.0: must be an Uncertainty or None; Uncertainty(lag) gives one."),
         ({"pause": 0}, "drive: pause = 0 s: must be a finite number > 0 or None."),
         ({"pole": 1.0}, "drive: pole = 1.0: must be a finite number >= 0 and < 1."),
     ],

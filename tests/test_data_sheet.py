@@ -13,6 +13,7 @@ from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle, list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, Uncertainty
+from adaptrack.core.synthesis.belief import widen_drifts
 from adaptrack.core.synthesis.car import AXLE_COEFFICIENTS
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure, find_failure
@@ -124,12 +125,16 @@ def test_a_car_without_the_section_drives_as_before():
 
 def test_uncertain_stiffness_slows_the_disturbances_where_the_lateral_velocity_is_not_measured():
     drifts = MPC(car(), profile="road").estimator.drifts
+
+    def widened(stiffness, measures_vy):
+        row = drifts.row
+        widen_drifts(Uncertainty(stiffness=stiffness).row, measures_vy, row)
+        return row
+
     for factor, share in ((1.6, 1.0), (2.5, 1.0), (1.6**0.5, 0.5)):
-        wide = Uncertainty(stiffness=factor).widened(drifts, measures_vy=False)
-        assert wide.side == pytest.approx(drifts.side / 3.0**share)
-        assert wide.sliding == pytest.approx(drifts.sliding * 5.0**share)
-    assert Uncertainty().widened(drifts, measures_vy=False) == drifts
-    assert Uncertainty(stiffness=1.6).widened(drifts) == drifts
+        assert widened(factor, 0).side == pytest.approx(drifts.side / 3.0**share)
+        assert widened(factor, 0).sliding == pytest.approx(drifts.sliding * 5.0**share)
+    assert widened(1.0, 0) == widened(1.6, 1) == drifts.row
 
 
 def test_a_factor_and_a_margin_are_written_as_such():

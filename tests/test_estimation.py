@@ -15,7 +15,6 @@ from adaptrack.control import estimation
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.control.estimation import (
     FrictionWindEstimator,
-    FrictionWindPrior,
     UserEstimator,
     check_estimator,
     get_estimator,
@@ -38,8 +37,8 @@ unpack = entry(unpack)
 
 CAR = load_vehicle("paper")
 PAPER, ROAD = load_profile("paper"), load_profile("road")
-NOMINAL = FrictionWindPrior().nominal_friction
-PRIOR_STD = NOMINAL * FrictionWindPrior().friction_spread
+PRIOR = kernel.DEFAULT_PRIOR
+NOMINAL, PRIOR_STD = PRIOR.nominal_friction, PRIOR.nominal_friction * PRIOR.friction_spread
 SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 
 
@@ -79,6 +78,11 @@ class Recording:
             return step(*arguments, **options)
 
         controller.step = recorded
+
+
+def estimating_with(**constants):
+    """The class of estimators with different constants."""
+    return type("Trial", (FrictionWindEstimator,), {"_prior": PRIOR._replace(**constants)})
 
 
 def road(speed=20.0, friction=0.9, wind=0.0, duration=10.0, **others):
@@ -125,9 +129,8 @@ def state(**known):
 
 
 # -- the model --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("tyre", ["magic-formula", "passenger-car"])
-def test_the_filter_believes_in_the_single_track_plant(tyre, rng):
-    plant = SingleTrack(CAR, tyre)
+def test_the_filter_believes_in_the_single_track_plant(rng):
+    plant = SingleTrack(CAR, "passenger-car")
     p = FrictionWindEstimator.of(plant).packed()
     for _ in range(20):
         vy, r, yaw, friction, wind = rng.uniform((-2, -0.8, -1, 0.3, -30), (2, 0.8, 1, 1, 30))
@@ -139,7 +142,7 @@ def test_the_filter_believes_in_the_single_track_plant(tyre, rng):
         assert yawing == pytest.approx(slope[5], rel=1e-12, abs=1e-12)
 
 
-@pytest.mark.parametrize("tyre", ["magic-formula", "passenger-car", "constant-stiffness"])
+@pytest.mark.parametrize("tyre", ["passenger-car", "constant-stiffness"])
 def test_its_derivatives_are_those_of_its_accelerations(tyre, rng):
     p = FrictionWindEstimator.of(DualTrack(CAR, tyre)).packed()
     for _ in range(20):
@@ -179,13 +182,13 @@ def test_the_replica_turns_the_wheels_as_the_actuator_does():
 
 
 # -- wind -------------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("wind", [-12.0, 4.0, 25.0])
+@pytest.mark.parametrize("wind", [-12.0, 25.0])
 def test_without_noise_a_constant_wind_is_found(wind):
     plant = SingleTrack(CAR)
-    belief = FrictionWindPrior(
+    estimating = estimating_with(
         nominal_friction=0.9, friction_spread=0.05, wind_time=60.0, stiffness_spread=0.0, tyre_error=0.0
     )
-    estimator = FrictionWindEstimator.of(plant, PAPER, period=0.05, belief=belief)
+    estimator = estimating.of(plant, PAPER, period=0.05)
     _, found = drive(road(20.0, 0.9, wind, 6.0), weave(0.01), PAPER, plant, estimator)
     assert found[-40:, 1] == pytest.approx(wind, rel=0.02)
 
@@ -218,7 +221,7 @@ def test_an_accelerometer_makes_wind_and_friction_more_certain():
 
 
 # -- friction ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("friction", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("friction", [0.3, 0.8])
 def test_friction_is_found_where_the_tyres_slide(friction):
     _, found = drive(road(20.0, friction, 0.0, 6.0), weave(0.3 * friction))
     settled = found[60:]
@@ -227,17 +230,7 @@ def test_friction_is_found_where_the_tyres_slide(friction):
 
 
 @pytest.mark.compiled
-def test_a_drop_of_friction_is_seen_within_a_second_where_the_tyres_slide():
-    patch = {"start": 4.0, "end": 8.0, "friction": 0.4}
-    trajectory, found = drive(road(20.0, 0.9, 0.0, 8.0, friction_patches=[patch]), weave(0.25))
-    after = trajectory.t > 5.0
-    assert found[after, 0].max() < 0.55
-    assert found[trajectory.t < 4.0, 0][-10:].min() > 0.7
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("friction", [0.3, 0.95])
-@pytest.mark.parametrize("speed", [5.0, 25.0])
+@pytest.mark.parametrize(("friction", "speed"), [(0.3, 25.0), (0.95, 5.0)])
 def test_friction_is_nominal_and_said_to_be_unknown_where_nothing_excites(friction, speed):
     _, found = drive(road(speed, friction, 0.0, 15.0), straight)
     assert np.abs(found[:, 0] - NOMINAL).max() < 0.15 * NOMINAL
@@ -245,25 +238,14 @@ def test_friction_is_nominal_and_said_to_be_unknown_where_nothing_excites(fricti
 
 
 @pytest.mark.compiled
-def test_friction_drifts_back_to_nominal_after_the_slide():
-    trajectory, found = drive(road(20.0, 0.3, 0.0, 34.0), lambda t: weave(0.1)(t) if t < 4.0 else 0.0)
-    assert found[80, 0] < 0.4
-    assert abs(found[-1, 0] - NOMINAL) < 0.1
-    assert found[-1, 2] > 0.85 * PRIOR_STD
-    waiting = found[(trajectory.t > 8.0) & (trajectory.t < 30.0), 0]
-    assert (np.diff(waiting[::40]) > -0.02).all()
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_soft_or_stiff_tyres_are_not_taken_for_the_road(factor):
-    plant = DualTrack(CAR)
+def test_soft_or_stiff_tyres_are_not_taken_for_the_road():
+    plant, factor = DualTrack(CAR), 1.1
     tyre = plant.tyre.replace(
         stiffness_front=plant.tyre.stiffness_front * factor, stiffness_rear=plant.tyre.stiffness_rear * factor
     )
     errors = {}
     for spread in (0.0, 0.05):
-        estimator = FrictionWindEstimator(CAR, tyre, ROAD.steering, belief=FrictionWindPrior(stiffness_spread=spread))
+        estimator = estimating_with(stiffness_spread=spread)(CAR, tyre, ROAD.steering)
         _, found = drive(road(20.0, NOMINAL, 0.0, 12.0), weave(0.06), estimator=estimator)
         errors[spread] = abs(found[-100:, 0].mean() - NOMINAL)
     assert errors[0.05] < 0.5 * errors[0.0]
@@ -299,13 +281,13 @@ def test_the_mirrored_drive_gives_the_mirrored_estimate():
         command = trajectory.command[k]
 
 
-@pytest.mark.parametrize("profile", [ROAD, SILENT_ROAD], ids=["noisy", "silent"])
-def test_the_covariance_stays_symmetric_and_positive_definite(profile):
+def test_the_covariance_stays_symmetric_and_positive_definite():
+    profile = SILENT_ROAD
     estimator = FrictionWindEstimator.of(DualTrack(CAR), profile)
 
     class Watched(Scripted):
         def step(self, *arguments, **named):
-            p = estimator.covariance
+            p = estimator._memory[0].covariance[:, : kernel.N]
             assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
             scale = 1.0 / np.sqrt(np.diag(p))
             assert np.linalg.eigvalsh(p * np.outer(scale, scale)).min() > 1e-9
@@ -320,7 +302,7 @@ def test_a_measurement_that_is_no_number_leaves_the_estimate():
     for _ in range(20):
         before = estimator.step([0.1, 0.0, 0.02, 0.0], 20.0, 0.01)
     nothing = estimator.step([math.nan] * 4, math.nan, math.nan, math.nan)
-    kept = math.exp(-estimator.period / FrictionWindPrior().wind_time)
+    kept = math.exp(-estimator.period / PRIOR.wind_time)
     assert nothing.wind == pytest.approx(kept * before.wind)
     assert nothing.wind_std > before.wind_std
     for gap in range(4):
@@ -329,7 +311,7 @@ def test_a_measurement_that_is_no_number_leaves_the_estimate():
         assert all(map(math.isfinite, estimator.step(state, 20.0, 0.01)))
     for _ in range(1200):
         nothing = estimator.step([math.nan] * 4, 20.0, 0.0)
-    assert nothing[:4] == pytest.approx((NOMINAL, 0.0, PRIOR_STD, FrictionWindPrior().wind_spread), rel=0.01, abs=1e-6)
+    assert nothing[:4] == pytest.approx((NOMINAL, 0.0, PRIOR_STD, PRIOR.wind_spread), rel=0.01, abs=1e-6)
 
 
 def test_one_outlier_moves_no_more_than_a_trusted_innovation():
@@ -341,7 +323,7 @@ def test_one_outlier_moves_no_more_than_a_trusted_innovation():
     assert abs(found.friction - calm.friction) < 0.1
 
 
-@pytest.mark.parametrize("value", [1e308, 1e6, 900.0, 30.0, -math.inf])
+@pytest.mark.parametrize("value", [1e308, 30.0, -math.inf])
 def test_it_recovers_from_an_absurd_measurement(value):
     estimator = FrictionWindEstimator.of(DualTrack(CAR))
     for sign in (1.0, -1.0, 1.0):
@@ -351,15 +333,14 @@ def test_it_recovers_from_an_absurd_measurement(value):
         found = estimator.step([0.0, 0.0, 0.0, 0.0], 20.0, 0.0)
     assert abs(found.wind) < 1.0
     assert found.friction == pytest.approx(NOMINAL, abs=0.1)
-    motion = estimator.covariance[:2, :2]
+    motion = estimator._memory[0].covariance[:2, :2]
     assert np.isfinite(motion).all()
     assert np.sqrt(np.diag(motion)) == pytest.approx([0.02, 0.003], abs=0.02)
 
 
 @pytest.mark.compiled
 def test_estimates_stay_within_their_bounds():
-    belief = FrictionWindPrior(friction_range=(0.5, 0.8), most_wind=5.0)
-    estimator = FrictionWindEstimator.of(DualTrack(CAR), belief=belief)
+    estimator = estimating_with(friction_range=(0.5, 0.8), most_wind=5.0).of(DualTrack(CAR))
     for friction in (0.3, 1.0):
         _, found = drive(road(22.0, friction, 30.0, 6.0), weave(0.25), estimator=estimator)
         assert found[:, 0].min() >= 0.5 - 1e-12
@@ -377,13 +358,6 @@ def test_slots_do_not_touch_each_other():
         alone = estimator.step(seen, 15.0, 0.02)
     assert (memory[[0, 2]] == untouched).all()
     assert tuple(memory[1][["friction", "wind", "friction_std", "wind_std"]]) == alone[:4]
-
-
-def test_reset_forgets():
-    estimator = FrictionWindEstimator.of(DualTrack(CAR))
-    first = [estimator.step([0.1, 0.0, 0.1 * k, 0.0], 20.0, 0.05) for k in range(5)]
-    estimator.reset()
-    assert [estimator.step([0.1, 0.0, 0.1 * k, 0.0], 20.0, 0.05) for k in range(5)] == first
 
 
 # -- the door ---------------------------------------------------------------------------------------------------------
@@ -404,42 +378,25 @@ def test_the_scheduler_knows_the_estimates():
     assert isinstance(seen[0], SchedulingVariables)
 
 
-@pytest.mark.parametrize("name", ["period", "noise_vy", "noise_yaw_rate", "noise_acceleration"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "fast"])
-def test_the_estimator_refuses_a_noise_or_period_that_is_none(name, value):
-    with pytest.raises(InvalidInput, match=name):
-        FrictionWindEstimator(CAR, **{name: value})
-
-
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("make", "argument", "words"),
     [
-        ("nominal_friction", 0.05),
-        ("nominal_friction", math.nan),
-        ("friction_spread", 0.0),
-        ("friction_time", -1.0),
-        ("friction_range", (0.0, 1.0)),
-        ("friction_range", (0.9, 0.7)),
-        ("wind_time", math.inf),
-        ("stiffness_spread", -0.1),
+        (lambda: FrictionWindEstimator(CAR, period=0.0), "period", "> 0"),
+        (
+            lambda: simulate(
+                DualTrack(CAR), published_mpc(CAR, period=0.1), road(duration=1.0), known_as=FrictionWindEstimator(CAR)
+            ),
+            "",
+            "same instants",
+        ),
+        (lambda: FrictionWindEstimator(CAR, noise_vy=math.nan), "noise_vy", "finite"),
+        (lambda: FrictionWindEstimator(CAR, noise_acceleration="fast"), "noise_acceleration", "number"),
+        (lambda: FrictionWindEstimator(CAR).step([0.0] * 3, 10.0, 0.0), "measured", "expected \\(4,\\)"),
     ],
 )
-def test_a_belief_refuses_nonsense(name, value):
-    with pytest.raises(InvalidInput, match=name):
-        FrictionWindPrior(**{name: value})
-
-
-def test_a_measurement_of_another_shape_is_refused():
-    with pytest.raises(InvalidInput, match="expected \\(4,\\)"):
-        FrictionWindEstimator(CAR).step([0.0, 0.0, 0.0], 10.0, 0.0)
-
-
-def test_estimator_and_controller_must_share_their_period():
-    with pytest.raises(InvalidInput, match="same instants"):
-        simulate(
-            DualTrack(CAR), published_mpc(CAR, period=0.1), road(duration=1.0),
-            known_as=FrictionWindEstimator(CAR, period=0.05),
-        )  # fmt: skip
+def test_what_the_estimator_refuses(make, argument, words):
+    with pytest.raises(InvalidInput, match=f"{argument}.*{words}"):
+        make()
 
 
 # -- the state of the prediction model --------------------------------------------------------------------------------
@@ -477,19 +434,11 @@ def scribbles(speed, measured, command, a, b, parameters, memory, x, d):
     a[0, 0] = 0.0
 
 
-def tidies(speed, measured, command, a, b, parameters, memory, x, d):
-    """Writes to what is measured."""
-    x[:] = 0.0
-    d[:] = 0.0
-    measured[0] = 0.0
-
-
 @pytest.mark.parametrize(
     ("estimate", "clause"),
     [
         (leaves_gaps, "x and d must be written and finite"),
         (scribbles, "must write to memory, x and d only"),
-        (tidies, "must write to memory, x and d only"),
         (hold_still, "must predict the model"),
     ],
 )

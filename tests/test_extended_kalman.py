@@ -10,7 +10,7 @@ from inlined import entry
 pytestmark = pytest.mark.kernels
 
 carry, scatter, bounded, correct = map(entry, (kernel.carry, kernel.scatter, kernel.bounded, kernel.correct))
-every_size = pytest.mark.parametrize(("n", "m"), [(5, 2), (8, 5), (11, 2), (8, 8)])
+every_size = pytest.mark.parametrize(("n", "m"), [(5, 2), (8, 8)])
 
 
 def wide(matrix):

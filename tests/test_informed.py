@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_vehicle
 from adaptrack.control.controllers import (
     MPC,
     Limits,
@@ -32,7 +32,7 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import World
-from adaptrack.scenario import list_scenarios, load_scenario, random_drive
+from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import list_profiles, load_profile
 from textbook_filter import TextbookFilter
 
@@ -41,7 +41,7 @@ pytestmark = pytest.mark.kernels
 CAR = load_vehicle("paper")
 PERIOD = 0.05
 every_lag = pytest.mark.parametrize("lag", [0.0, 0.15])
-every_dead_time = pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.08, 0.12])
+every_dead_time = pytest.mark.parametrize("dead_time", [0.0, 0.08])
 
 
 def run_kernel(estimator, model, speeds, samples, commands):
@@ -60,7 +60,7 @@ def run_kernel(estimator, model, speeds, samples, commands):
 
 # -- the model --------------------------------------------------------------------------------------------------------
 @every_lag
-@pytest.mark.parametrize("speed", [0.05, 1.0, 3.0, 12.0, 40.0])
+@pytest.mark.parametrize("speed", [0.05, 3.0, 40.0])
 def test_the_path_model_is_the_exact_zero_order_hold_of_its_equations(lag, speed):
     model = PathModel(CAR, PERIOD, lag)
     a_c, inputs = model.continuous(speed)
@@ -81,13 +81,6 @@ def test_the_path_model_keeps_the_contract_of_models(lag):
     assert get_model("path", CAR, PERIOD) == PathModel(CAR, PERIOD)
 
 
-def test_without_lag_the_path_model_is_the_papers_model():
-    a, b, _ = PathModel(CAR, 0.1).discrete(17.0)
-    a_paper, b_paper, _ = get_model("single-track", CAR, 0.1).discrete(17.0)
-    np.testing.assert_allclose(a, a_paper, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(b, b_paper, rtol=0, atol=1e-13)
-
-
 def test_towards_standstill_the_path_model_is_a_kinematic_bicycle():
     a, b, _ = PathModel(CAR, 0.1).discrete(0.1)
     x, angle = np.zeros(4), 0.2
@@ -95,19 +88,6 @@ def test_towards_standstill_the_path_model_is_a_kinematic_bicycle():
         x = a @ x + b[:, 0] * angle
     assert x[2] == pytest.approx(0.1 * angle / (CAR.lf + CAR.lr), rel=1e-3)
     assert x[0] == pytest.approx(CAR.lr * x[2], rel=1e-2)
-
-
-@pytest.mark.parametrize("speed", [0.0, -1.0, math.inf, math.nan])
-def test_a_speed_at_which_the_path_model_is_singular_is_refused(speed):
-    for equations in (PathModel(CAR, PERIOD).continuous, PathModel(CAR, PERIOD).discrete):
-        with pytest.raises(InvalidInput, match="positive and finite"):
-            equations(speed)
-
-
-@pytest.mark.parametrize("numbers", [{"lag": -0.1}, {"dead_time": math.inf}, {"lag": math.nan}, {"period": 0.0}])
-def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
-    with pytest.raises(InvalidInput, match=next(iter(numbers))):
-        PathModel(CAR, **{"period": PERIOD, **numbers})
 
 
 # -- the filter -------------------------------------------------------------------------------------------------------
@@ -133,9 +113,9 @@ def test_the_compiled_filter_is_the_textbook_one(lag, dead_time, oldest, rng):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("oldest", [0.0, 0.1])
 @pytest.mark.parametrize(
-    ("sensor", "reading"), [("vy", 0.6), ("yaw_rate", 0.2), ("wheel_angle", 0.05), ("lateral_acceleration", 3.0)]
+    ("sensor", "reading", "oldest"),
+    [("vy", 0.6, 0.0), ("yaw_rate", 0.2, 0.1), ("wheel_angle", 0.05, 0.0), ("lateral_acceleration", 3.0, 0.1)],
 )
 def test_a_sensor_stuck_behind_its_noise_is_left_out_within_a_second_until_it_agrees_again(
     sensor, reading, oldest, rng
@@ -168,9 +148,9 @@ def test_a_sensor_stuck_behind_its_noise_is_left_out_within_a_second_until_it_ag
 
 
 @every_lag
-@pytest.mark.parametrize("grip", [7.0, 4.0])
-def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, grip, rng):
+def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, rng):
     """A car that is dragged sideways harder than any tyre can pull; both forms of the filter."""
+    grip = 4.0
     model, own = PathModel(CAR, PERIOD, lag), KalmanFilter(drifts=Drifts(grip=grip), bound=math.inf)
     count, speed = 60, 15.0
     t = PERIOD * np.arange(count)
@@ -209,8 +189,7 @@ def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_
     np.testing.assert_allclose(found[:, : model.n], expected, rtol=0, atol=1e-9)
 
 
-@every_lag
-@pytest.mark.parametrize("oldest", [0.0, 0.1])
+@pytest.mark.parametrize(("lag", "oldest"), [(0.0, 0.1), (0.15, 0.0)])
 def test_the_covariance_stays_symmetric_to_the_bit_however_long_the_drive(lag, oldest, rng):
     """What is not symmetric in P no measurement takes away: F, with its integrals, would let it grow without end."""
     noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
@@ -266,31 +245,6 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
     assert abs(np.mean(nees) - 1.0) < 1.96 * math.sqrt(2.0 / (model.n + 2) / (len(nees) / 10))
 
 
-def test_an_outlier_moves_the_estimate_by_no_more_than_its_bound(rng):
-    model = PathModel(CAR, PERIOD, 0.15)
-    samples = 1e-9 * rng.normal(size=(41, 5))
-    samples[:, 4] = np.nan
-    wild = samples.copy()
-    wild[-1, 3] = 50.0
-    at = (np.full(41, 15.0), np.zeros(41))
-    calm = run_kernel(KalmanFilter(), model, at[0], samples, at[1])[-1]
-    thrown = run_kernel(KalmanFilter(), model, at[0], wild, at[1])[-1]
-    assert 0.0 < abs(thrown[4] - calm[4]) < 5.0 * KalmanFilter().noise.y
-
-
-def test_without_samples_the_filter_goes_on_by_the_model():
-    model = PathModel(CAR, PERIOD, 0.15, 0.05)
-    samples = np.full((60, 5), np.nan)
-    samples[:20, :4] = 1e-9 * np.arange(20)[:, None]
-    commands = np.where(np.arange(60) >= 20, 0.01, 0.0)
-    found = run_kernel(KalmanFilter(), model, np.full(60, 15.0), samples, commands)
-    a, b, _ = model.discrete(15.0)
-    x = found[19, :5]
-    for k in range(20, 60):
-        x = a @ x + b[:, 0] * commands[k] + found[19, 5:]
-        np.testing.assert_allclose(found[k, :5], x, rtol=0, atol=1e-9)
-
-
 def test_samples_of_a_known_age_tell_what_they_told_when_they_were_taken(rng):
     """All of them two periods late: the estimate is that of two periods ago, carried on by the commands since."""
     model = PathModel(CAR, PERIOD, 0.15)
@@ -314,21 +268,6 @@ def test_samples_of_a_known_age_tell_what_they_told_when_they_were_taken(rng):
             np.testing.assert_allclose(found[k + late, : model.n], z[: model.n], rtol=0, atol=1e-9)
 
 
-def test_a_sample_older_than_the_filter_looks_back_is_left_out(rng):
-    model = PathModel(CAR, PERIOD, 0.15)
-    samples = np.zeros((30, 8))
-    samples[:, :5] = rng.normal(size=(30, 5)) * 0.01
-    samples[:, 4:6] = np.nan
-    aged, missing = samples.copy(), samples.copy()
-    aged[10:, 6] = 0.2
-    missing[10:, [1, 3]] = np.nan
-    at = np.full(30, 15.0), np.zeros(30)
-    own = KalmanFilter(oldest=0.1)
-    np.testing.assert_array_equal(
-        run_kernel(own, model, at[0], aged, at[1]), run_kernel(own, model, at[0], missing, at[1])
-    )
-
-
 def test_a_position_that_stays_the_same_is_blindness_only_where_the_car_is_elsewhere():
     model, speed, own = PathModel(CAR, PERIOD), 15.0, KalmanFilter(patience=0.5)
     still = np.tile([0.0, 0.0, 0.0, 0.0], (100, 1))
@@ -348,27 +287,6 @@ def test_a_pose_that_stays_the_same_against_a_path_that_turns_is_new():
     )
 
 
-def test_a_sample_that_repeats_the_one_before_is_left_out(rng):
-    model = PathModel(CAR, PERIOD, 0.15)
-    samples = rng.normal(size=(30, 4)) * [0.05, 0.003, 0.01, 0.03]
-    stuck, missing = samples.copy(), samples.copy()
-    stuck[11:, 3], missing[11:, 3] = samples[10, 3], np.nan
-    at = np.full(30, 15.0), np.zeros(30)
-    own = KalmanFilter()
-    np.testing.assert_array_equal(
-        run_kernel(own, model, at[0], stuck, at[1]), run_kernel(own, model, at[0], missing, at[1])
-    )
-
-
-def test_without_a_position_for_longer_than_its_patience_there_is_no_estimate(rng):
-    model, own = PathModel(CAR, PERIOD, 0.15), KalmanFilter(patience=0.5)
-    samples = rng.normal(size=(60, 4)) * 0.01
-    samples[20:40, 3] = np.nan
-    found = run_kernel(own, model, np.full(60, 15.0), samples, np.zeros(60))
-    known = np.isfinite(found[:, : model.n]).all(axis=1)
-    assert known.tolist() == [True] * 30 + [False] * 10 + [True] * 20
-
-
 def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_then_holds(rng):
     own = dataclasses.replace(KalmanFilter.of_profile(load_profile("road")), patience=0.5)
     mpc, found = MPC(CAR, profile="road", estimator=own), []
@@ -385,12 +303,6 @@ def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_
     assert found[35].diagnostics[mpc.diagnostic_names.index("dead_reckoning")] == said[35]
 
 
-def test_a_controller_that_takes_its_state_as_measured_never_steers_on_an_estimate():
-    mpc = published_mpc(CAR)
-    assert mpc.step([0.0, 0.0, 0.0, math.nan], 15.0, [1.0]).dead_reckoning == 0.0
-    assert mpc.left_out is None
-
-
 @pytest.mark.compiled
 def test_gaps_of_the_pose_are_in_the_trajectory_and_counted():
     profile = load_profile("production").replace(dropout_pause=2.0, dropout_least=0.3, dropout_most=0.3)
@@ -404,69 +316,42 @@ def test_gaps_of_the_pose_are_in_the_trajectory_and_counted():
     assert metrics.dead_reckoning_max == said.max() >= 0.3 - 1e-9
 
 
-@pytest.mark.compiled
-def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion():
-    """A car that obeys the model, going straight on a banked road, with a gyro that is off, no noise."""
-    model = PathModel(CAR, PERIOD, 0.15)
-    noise = SensorNoise(vy=math.inf, yaw_rate=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
-    own = KalmanFilter(noise)
-    textbook = TextbookFilter(own, model)
-    bank, offset, speed = 0.5, 0.003, 20.0
-    a_c, inputs = model.continuous(speed)
-    equilibrium = np.linalg.solve(  # v_y, yaw and command at which nothing changes under the push
-        np.column_stack([a_c[[0, 2, 4]][:, [0, 1]], a_c[[0, 2, 4], 3] + inputs[[0, 2, 4], 0]]), [-bank, 0.0, 0.0]
-    )
-    vy, yaw, command = equilibrium
-    truth = np.array([vy, yaw, 0.0, command, 0.0])
-    felt = a_c[0] @ truth
-    for k in range(4000):
-        seen = np.array([math.nan, yaw, offset, 0.0, math.nan, felt, 0.0, 0.0, 0.0])
-        x, _ = textbook.step(speed, seen + 1e-9 * (k % 2), command)
-    np.testing.assert_allclose(x, truth, rtol=0, atol=2e-3)
-    assert textbook.z[-1] == pytest.approx(offset, abs=1e-4)
-    assert textbook.z[model.n] == pytest.approx(bank, abs=0.02)
-
-
 def test_the_filter_keeps_the_contract_of_estimators():
     check_estimator(KalmanFilter(SensorNoise(wheel_angle=0.001)), PathModel(CAR, PERIOD, 0.15))
     check_estimator(KalmanFilter(), PathModel(CAR, PERIOD))
     assert get_estimator("kalman") == KalmanFilter()
 
 
-def test_filters_and_models_that_do_not_fit_each_other_are_refused():
-    with pytest.raises(InvalidInput, match="path model"):
-        MPC(CAR, model=SingleTrackModel(CAR), estimator="kalman")
-    with pytest.raises(InvalidInput, match="dead time"):
-        Deadbeat().check_fits(PathModel(CAR, PERIOD, dead_time=0.05))
-    with pytest.raises(InvalidInput, match="wheel_angle"):
-        MPC(CAR, period=PERIOD, model=PathModel(CAR, PERIOD, 0.1))
-
-
 @pytest.mark.parametrize(
-    "make",
+    ("make", "argument", "words"),
     [
-        lambda: SensorNoise(vy=-1.0),
-        lambda: SensorNoise(y=math.inf),
-        lambda: SensorNoise(yaw=math.nan),
-        lambda: Drifts(side=-0.1),
-        lambda: Drifts(turn=math.inf),
-        lambda: Drifts(sliding_time=0.0),
-        lambda: Drifts(least_spare=0.0),
-        lambda: KalmanFilter(bound=0.0),
-        lambda: KalmanFilter(trust=20.0),
-        lambda: KalmanFilter(window=(0.5, 0.0)),
-        lambda: KalmanFilter(spread=(0.1, math.nan)),
+        (lambda: SensorNoise(yaw=math.nan), "yaw", "inf: no such sensor"),
+        (lambda: SensorNoise(y=math.inf), "y", "without a measured lateral position"),
+        (lambda: Drifts(side=-0.1), "side = -0.1 m/s", ">= 0"),
+        (lambda: Drifts(sliding_time=0.0), "sliding_time", "> 0"),
+        (lambda: KalmanFilter(bound=0.0), "bound", "inf: no bound"),
+        (lambda: KalmanFilter(trust=20.0), "trust", "distrust must be no less"),
+        (lambda: KalmanFilter(window=(0.5, 0.0)), r"window\[1\]", "> 0"),
+        (lambda: KalmanFilter(shape_factor=2.0), "shape_factor", "> 1 and < 2"),
+        (lambda: Uncertainty(stiffness=0.6), "stiffness", ">= 1 and <= 4"),
+        (lambda: Uncertainty(lag=True), "lag", "number"),
+        (lambda: MPC(CAR, uncertainty=0.1), "uncertainty", "Uncertainty"),
+        (lambda: MPC(CAR, belief=0.3), "belief", "must be a Steering or one of 'unknown' or None"),
+        (lambda: MPC(CAR, belief="nothing"), "belief", "'unknown'"),
+        (lambda: Limits(error=0.0), "error", "inf: no limit"),
+        (lambda: Limits(ahead=-0.1), "ahead", ">= 0"),
+        (lambda: informed_tuning("road", 1e-300), "period", "positive and finite"),
+        (lambda: PathModel(CAR, PERIOD, lag=-0.1), "lag", ">= 0"),
+        (lambda: PathModel(CAR, PERIOD, dead_time=math.inf), "dead_time", "finite"),
+        (lambda: PathModel(CAR, PERIOD).discrete(0.0), "speed", "positive and finite"),
+        (lambda: MPC(CAR, model=SingleTrackModel(CAR), estimator="kalman"), "estimator 'kalman'", "path model"),
+        (lambda: Deadbeat().check_fits(PathModel(CAR, PERIOD, dead_time=0.05)), "deadbeat", "dead time"),
+        (lambda: MPC(CAR, period=PERIOD, model=PathModel(CAR, PERIOD, 0.1)), "deadbeat", "wheel_angle"),
     ],
-)
-def test_impossible_numbers_of_a_filter_are_refused(make):
-    with pytest.raises(InvalidInput):
+)  # fmt: skip
+def test_what_models_filters_and_controllers_refuse(make, argument, words):
+    with pytest.raises(InvalidInput, match=f"{argument}.*{words}"):
         make()
-
-
-@pytest.mark.parametrize("period", [0.0, 1e-300, 1e300, math.nan])
-def test_a_period_whose_square_is_no_positive_number_is_refused(period):
-    with pytest.raises(InvalidInput, match="period"):
-        informed_tuning("road", period)
 
 
 # -- the controller ---------------------------------------------------------------------------------------------------
@@ -490,12 +375,6 @@ def test_the_qp_predicts_what_the_model_does_from_the_estimate(dead_time, rng):
             error[j] = wanted - (c @ ahead).item()
         _, phi = model.prediction(speed, 12, 4)
         np.testing.assert_allclose(qp.K, -2.0 * 2.0 * phi.T @ error, rtol=1e-9, atol=1e-9)
-
-
-def test_the_tuning_weighs_the_same_steering_rate_at_any_period():
-    here, there = informed_tuning("road"), informed_tuning("road", 0.025)
-    assert pytest.approx(there.R * 0.025**2, rel=1e-5) == here.R * 0.05**2
-    assert there.Np == 2 * here.Np
 
 
 @pytest.mark.compiled
@@ -539,27 +418,18 @@ def test_by_default_the_mpc_models_the_steering_of_its_car_file_and_filters():
     assert mpc.limits == Limits(move=(-fastest, fastest), angle=(-0.6, 0.6), ahead=0.8 * (0.2 + mpc.period), error=0.25)
     assert mpc.tuning == informed_tuning("road")
     assert mpc.belief.assumed == ()
-
-
-def test_a_tuning_alone_tunes_the_mpc_that_knows_its_car():
-    mpc = MPC(KNOWN, Tuning(20, 4, 1.0, 7.0))
-    assert mpc.tuning == Tuning(20, 4, 1.0, 7.0)
-    assert (mpc.model, mpc.estimator) == (MPC(KNOWN).model, MPC(KNOWN).estimator)
+    tuned = MPC(KNOWN, Tuning(20, 4, 1.0, 7.0))
+    assert tuned.tuning == Tuning(20, 4, 1.0, 7.0)
+    assert (tuned.model, tuned.estimator) == (mpc.model, mpc.estimator)
 
 
 def test_a_controller_told_of_another_steering_believes_it():
     mpc = MPC(KNOWN, profile="road", belief=Steering(lag=0.3, rate=0.4))
     assert (mpc.model.lag, mpc.model.dead_time) == (0.3, pytest.approx(0.07 + 0.05))
     assert mpc.limits.move == pytest.approx((-0.02, 0.02))
-    with pytest.raises(InvalidInput, match="must be a Steering or one of 'unknown' or None"):
-        MPC(CAR, belief=0.3)
-
-
-def test_the_car_file_is_believed_before_the_profile_and_the_profile_where_the_file_is_silent():
-    partly = CAR.replace(steering=Steering(rate=0.4))
-    belief = MPC(partly, profile="road").belief
-    assert (belief.lag.value, belief.lag.source) == (load_profile("road").steering.lag, "profile road")
-    assert (belief.rate.value, belief.rate.source) == (0.4, "car file paper")
+    partly = MPC(CAR.replace(steering=Steering(rate=0.4)), profile="road").belief
+    assert (partly.lag.value, partly.lag.source) == (load_profile("road").steering.lag, "profile road")
+    assert (partly.rate.value, partly.rate.source) == (0.4, "car file paper")
 
 
 def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and_said():
@@ -578,19 +448,10 @@ def test_of_an_unknown_steering_neither_file_nor_profile_is_believed_but_the_sen
     assert set(mpc.belief.assumed) == {"lag", "dead_time", "rate", "limit"}
     assert mpc.belief.computation.value == profile.delay * profile.period
     assert mpc.estimator.noise == MPC(KNOWN, profile=profile).estimator.noise
-    with pytest.raises(InvalidInput, match="'unknown'"):
-        MPC(KNOWN, belief="nothing")
-
-
-@pytest.mark.parametrize("known", [{"lag": 0.1}, {"dead_time": 0.1}, {"lag": 0.5}, {"dead_time": 0.5}])
-def test_what_is_known_of_the_delay_is_taken_off_what_is_assumed(known):
-    belief = MPC(CAR, belief=Steering(**known), learning=None).belief
-    assert belief.lag.value + belief.dead_time.value == pytest.approx(max(0.4, *known.values()), abs=0.051)
-    assert belief.lag.value > 0.0
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("lag", [0.05, 0.2, 0.4])
+@pytest.mark.parametrize("lag", [0.05, 0.4])
 def test_without_any_knowledge_of_the_steering_either_car_is_kept(lag):
     drives = [random_drive(5_000_000 + number) for number in range(8)]
     for name in ("paper", "midsize-sedan"):
@@ -629,17 +490,10 @@ def test_the_published_controller_is_asked_for_by_name():
         assert isinstance(mpc.estimator, Deadbeat)
         assert mpc.moves == Moves.pulses()
         assert mpc.name == "standard MPC (pulse)"
+        assert mpc.step([0.0, 0.0, 0.0, math.nan], 15.0, [1.0]).dead_reckoning == 0.0  # it takes its state as measured
+        assert mpc.left_out is None
     assert get_controller("as-released", CAR, period=0.05).moves == Moves.laguerre(0.95)
     assert "standard" not in MPC(CAR).name
-
-
-def test_a_scheduler_made_for_the_published_controller_is_not_taken_silently(caplog):
-    MPC(CAR, scheduler=load_scheduler("road-nn"))
-    assert "published_mpc" in caplog.text
-    caplog.clear()
-    published_mpc(CAR, scheduler=load_scheduler("road-nn"))
-    MPC(CAR, scheduler=dataclasses.replace(load_scheduler("road-fallback"), made_for={"controller": "MPC"}))
-    assert not caplog.text
 
 
 def test_a_scheduler_made_for_another_car_or_profile_is_told_once_with_the_remedy(caplog):
@@ -696,12 +550,6 @@ def test_the_first_move_may_lead_the_wheels_as_far_as_the_actuator_follows(rng):
         assert abs(mpc.angle - command) <= max(qp.gamma[:2]) + 1e-12
 
 
-@pytest.mark.parametrize("limits", [{"error": 0.0}, {"error": math.nan}, {"ahead": -0.1}, {"ahead": math.inf}])
-def test_impossible_limits_are_refused(limits):
-    with pytest.raises(InvalidInput, match=next(iter(limits))):
-        Limits(**limits)
-
-
 def six_numbers() -> Vehicle:
     """The car of docs/vehicles.md, not matched to the tyres it drives on."""
     return Vehicle(
@@ -729,28 +577,6 @@ def test_no_step_of_the_reference_throws_a_car_off_the_road(name, profile):
     assert [each.source for each, failed in zip(steps, runs.failed, strict=True) if failed is not None] == []
 
 
-@pytest.mark.parametrize(("name", "profile"), IDEAL)
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_every_scenario_is_driven_by_every_car_with_nothing_but_defaults(name, profile):
-    plant = DualTrack(CARS[name])
-    runs = {each: rollout(plant, MPC(CARS[name], profile=profile), load_scenario(each), profile=profile)
-            for each in list_scenarios()}  # fmt: skip
-    assert {each: run.failed for each, run in runs.items() if run.failed} == {}
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-@pytest.mark.parametrize("name", [name for name in CARS if name != "paper"])
-def test_the_same_constant_and_filter_drive_any_car(name):
-    """100 drives each, none failed, J <= 0.0005 m^2, the stiffness known."""
-    car = CARS[name].matched_to(load_tyre(CARS[name].tyre))
-    drives, profile = [random_drive(31_000_000 + number) for number in range(100)], load_profile("road")
-    runs = rollout_batch(DualTrack(car), MPC(car, profile="road"), drives, profile="road", seeds=np.arange(100))
-    assert all(failed is None for failed in runs.failed)
-    assert np.exp(np.log(runs.cost(profile.move_weight)).mean()) <= 0.0005
-
-
 # -- wrong beliefs ----------------------------------------------------------------------------------------------------
 def test_without_uncertainty_nothing_changes_and_with_it_the_controller_is_late_and_cautious():
     sure, plain = MPC(CAR, profile="road", uncertainty=Uncertainty()), MPC(CAR, profile="road")
@@ -766,27 +592,9 @@ def test_without_uncertainty_nothing_changes_and_with_it_the_controller_is_late_
     assert given.tuning.R == 7.0
 
 
-def test_caution_grows_with_every_uncertainty():
-    for name, values in {"lag": (0.0, 0.02, 0.08), "dead_time": (0.0, 0.02, 0.08), "stiffness": (1.0, 1.2, 2.0),
-                         "mass": (0.0, 0.1, 0.4)}.items():  # fmt: skip
-        cautions = [Uncertainty(**{name: value}).caution for value in values]
-        assert cautions[0] == 1.0
-        assert sorted(set(cautions)) == cautions
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"lag": -0.1}, {"dead_time": math.nan}, {"stiffness": 0.6}, {"mass": 1.0}, {"lag": True}]
-)
-def test_an_impossible_uncertainty_is_refused(wrong):
-    with pytest.raises(InvalidInput, match=next(iter(wrong))):
-        Uncertainty(**wrong)
-    with pytest.raises(InvalidInput, match="Uncertainty"):
-        MPC(CAR, profile="road", uncertainty=0.1)
-
-
 @pytest.mark.slow
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", ["paper", "midsize-sedan"])
+@pytest.mark.parametrize("name", ["paper"])
 @pytest.mark.parametrize(
     ("told", "wrong"),
     [(Uncertainty(lag=0.1), {"lag": value}) for value in (-0.1, 0.0, 0.1)]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -18,10 +16,11 @@ from adaptrack.core import library
 from adaptrack.core.kernel import (
     INTERPRETED,
     Array,
-    Caller,
     Resident,
     Row,
-    address_of,
+    Setting,
+    copier,
+    defaults,
     exported,
     float64,
     inlined,
@@ -74,6 +73,18 @@ def test_a_record_is_written_where_it_is_read():
     assert values.tolist() == [0.0, 21.0, 2.0, 3.0, 4.0, 205.0, 6.0, 7.0]
 
 
+def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
+    kind = record("Kind", [Setting("lag", "s", 0.5, "of the steering", "[0, 1)"), Setting("pair", "", (1.0, 2.0), ""),
+                           Setting("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
+    assert tuple(defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
+    assert size_of(kind) == 4
+    assert kind.field_settings["lag"].ends == (0.0, 1.0)
+    assert kind.field_settings["lag"].remark == "s, [0, 1), of the steering"
+    source, target = kind.new(1, lag=0.1)[0], kind.new(1)[0]
+    entry(copier(record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]])))(source, target)
+    assert target.lag == 0.1
+
+
 def test_an_exported_kernel_answers_as_its_python_does():
     road = Road.from_segments([Line(length=50.0), Arc(length=60.0, curvature=0.02)]).packed()
     for x, y in ((3.0, 1.0), (49.0, -2.0), (80.0, 12.0), (200.0, 60.0)):
@@ -96,11 +107,6 @@ def test_an_array_that_is_not_what_a_kernel_takes_is_refused(wrong, why):
         vector.given(wrong)
 
 
-def test_an_exported_kernel_crosses_to_another_process_by_its_name():
-    assert pickle.loads(pickle.dumps(foot_about)) is foot_about
-    assert copy.deepcopy(foot_about) is foot_about
-
-
 @needs_compiled
 @pytest.mark.compiled
 def test_a_member_that_raises_leaves_nothing_that_counts():
@@ -114,18 +120,6 @@ def test_a_member_that_raises_leaves_nothing_that_counts():
     assert out.tolist() == [1.0, 0.0]
     made(np.array([1.0]), out)
     assert np.isnan(out).all()
-
-
-@needs_compiled
-@pytest.mark.compiled
-def test_a_member_may_return_nothing_or_a_whole_number():
-    nothing, whole = member(lambda a: None, float64(vector)), member(lambda a: 3, float64(vector))
-    assert (nothing(np.zeros(1)), whole(np.zeros(1))) == (0.0, 3.0)
-
-
-def test_what_is_called_by_its_address_is_in_python_the_function_itself():
-    assert Caller(float64(float64))(abs, -2.0) == 2.0
-    assert address_of(None) == (None if INTERPRETED else 0)
 
 
 # -- parts of vectors, and small arrays -------------------------------------------------------------------------------

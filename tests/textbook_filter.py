@@ -129,7 +129,7 @@ class TextbookFilter:
         mu F_z C tan(asin(f)/C).
         """
         turn, most = speed * self.turned[instant] / self.model.period, self.own.friction * GRAVITY
-        share, shape = min(abs(turn) / most, MOST_SHARE), self.own.shape
+        share, shape = min(abs(turn) / most, MOST_SHARE), self.own.shape_factor
         return -math.copysign(most * (shape * math.tan(math.asin(share) / shape) - share), turn)
 
     def forces(self, speed, command):

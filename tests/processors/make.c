@@ -15,7 +15,7 @@ int main(int count, char **names) {
     static struct adaptrack_synthesis_informed_Parts parts;
     static struct adaptrack_synthesis_informed_Constants all;
     static struct adaptrack_controllers_mpc_Settings settings;
-    static double tuning[4], model[7], turning[7], estimator[100], learner[100], fresh[10000];
+    static double tuning[4], model[7], turning[7], estimator[100], learner[120], fresh[10000];
     static int64_t states[5];
     adaptrack_word sizes[3];
     FILE *answers = fopen(names[1], "wb");
@@ -49,14 +49,14 @@ int main(int count, char **names) {
     all.states = states, all.states_size[0] = sizes[0].whole;
     all.turning = turning, all.turning_size[0] = 7;
     all.estimator = estimator, all.estimator_size[0] = 100;
-    all.learner = learner, all.learner_size[0] = 100;
+    all.learner = learner, all.learner_size[0] = 120;
     all.fresh = fresh, all.fresh_size[0] = sizes[2].whole;
     if (adaptrack_informed_constants(&order, &parts, &all)) return 4;
     fwrite(tuning, 8, 4, answers);
     fwrite(model, 8, 7, answers);
     fwrite(turning, 8, 7, answers);
     fwrite(estimator, 8, 100, answers);
-    fwrite(learner, 8, 100, answers);
+    fwrite(learner, 8, 120, answers);
     fwrite(fresh, 8, (size_t)sizes[2].whole, answers);
     return fclose(answers) != 0;
 }

@@ -4,10 +4,10 @@
     def plan_speed(road: Road, *, spacing: Annotated[Finite, within(0.01, 100.0), "m"] = 1.0) -> SpeedPlan: ...
 
 A checked function, or a checked dataclass when one is built, validates every argument whose annotation holds a type of
-this module or a constraint of pydantic's (`pydantic.Field`, `pydantic.InstanceOf`), or is a `Literal`. The body gets
-plain floats, ints and tuples. Any real number serves as a number (NumPy's, fractions, whole ones); truth values, text,
-NaN and what no float holds do not. What is not allowed raises `InvalidInput`, which names the call, the argument, its
-value and unit, what is allowed and, where there is one, the remedy:
+this module or a constraint of pydantic's (`pydantic.Field`), or is a `Literal`. The body gets plain floats, ints and
+tuples. Any real number serves as a number (NumPy's, fractions, whole ones); truth values, text, NaN and what no float
+holds do not. What is not allowed raises `InvalidInput`, which names the call, the argument, its value and unit, what
+is allowed and, where there is one, the remedy:
 
     plan_speed: spacing = -1 m: must be a finite number >= 0.01 and <= 100.
 
@@ -40,7 +40,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
@@ -70,7 +70,6 @@ def _as_int(value: Any) -> int:
 _PACKAGE = __name__.partition(".")[0]
 _UNIONS = (typing.Union, types.UnionType)
 _REAL, _WHOLE = BeforeValidator(_as_float), BeforeValidator(_as_int)
-_INSTANCE_OF: Any = InstanceOf  # for type checkers it is no class
 
 Number = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True), _REAL]
 """Any but NaN."""
@@ -332,7 +331,7 @@ def _is_checked(annotation: Any) -> bool:
 
 def _is_constrained(annotation: Any) -> bool:
     """Whether an annotation itself constrains a value."""
-    marks = (FieldInfo, BeforeValidator, _Class, _INSTANCE_OF, Limit)
+    marks = (FieldInfo, BeforeValidator, _Class, Limit)
     return any(isinstance(mark, marks) for mark in _metadata(annotation))
 
 
@@ -392,8 +391,6 @@ def allowed(field: FieldInfo) -> str:
     annotation: Any = _without_none(field.annotation)
     if typing.get_origin(annotation) is Literal:
         return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))
-    if any(isinstance(each, _INSTANCE_OF) for each in field.metadata):
-        return f"{'an' if annotation.__name__[0] in 'AEIOU' else 'a'} {annotation.__name__}"
     infinite = any(getattr(each, "allow_inf_nan", False) for each in field.metadata)
     noun = {
         float: "a number" if infinite else "a finite number",

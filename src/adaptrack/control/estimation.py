@@ -25,7 +25,6 @@ from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, p
 from adaptrack.control.models import PredictionModel
 from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.contract import compile_estimator
-from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.period import Perceiving
 from adaptrack.core.synthesis.plant import lateral_rate
@@ -253,67 +252,19 @@ class FrictionWindEstimate(NamedTuple):
     """cornering stiffness of the tyres, over what the estimator was given"""
 
 
-@checked
-@dataclass(frozen=True)
-class FrictionWindPrior:
-    """What the estimator believes before the first measurement, and how fast it forgets.
-
-    ln(friction), wind and ln(stiffness) are Gauss-Markov processes: mean, standard deviation ("spread") and
-    correlation time. The spreads suit friction from 0.3 to 1 and gusts up to 30 m/s.
-
-    Raises
-    ------
-    InvalidInput
-        When nominal_friction is outside friction_range.
-    """
-
-    nominal_friction: Positive = 0.65
-    friction_spread: Positive = 0.33
-    """of ln(friction)"""
-    friction_time: Annotated[Positive, "s"] = 8.0
-    friction_range: tuple[Positive, Positive] = (0.1, 1.5)
-    wind_spread: Annotated[Positive, "m/s"] = 12.0
-    wind_time: Annotated[Positive, "s"] = 3.0
-    most_wind: Annotated[Positive, "m/s"] = 60.0
-    """the estimate stays within +- this"""
-    stiffness_spread: NotNegative = 0.05
-    """of ln(stiffness); 0 when the tyres are known exactly"""
-    stiffness_time: Annotated[Positive, "s"] = 600.0
-    tyre_error: Annotated[NotNegative, "s^0.5"] = 0.02
-    """white noise on the lateral force of each axle, over that force"""
-    drift_vy: Annotated[Positive, "m/s per s^0.5"] = 0.02
-    """random walk of the lateral velocity that the model does not explain"""
-    drift_yaw_rate: Annotated[Positive, "rad/s per s^0.5"] = 0.006
-
-    def __post_init__(self) -> None:
-        low, high = self.friction_range
-        if not low <= self.nominal_friction <= high:
-            raise InvalidInput(
-                f"FrictionWindPrior: nominal_friction = {self.nominal_friction!r} must lie in friction_range = "
-                f"{(low, high)!r}."
-            )
-
-
 class FrictionWindEstimator:
-    """Extended Kalman filter for road friction and lateral wind, from signals that a car has.
+    """Extended Kalman filter for road friction and lateral wind, from the signals of a car.
 
-    State z = [v_y, r, ln mu, w, ln s] of the single-track vehicle with saturating tyres and wind loads,
+    `core.estimators.friction_wind` has its equations and sources. Measured are v_y and the yaw rate, and the lateral
+    acceleration where there is a sensor; yaw and speed count as exact, and the wind along X as zero.
 
-        m (dv_y/dt + v_x r) = F_f(alpha_f, mu, s) cos(delta) + F_r(alpha_r, mu, s) + F_w(v_y, w)
-        I_z dr/dt = l_f F_f cos(delta) - l_r F_r + M_w(v_y, w)
-        d(ln mu)/dt = (ln mu_0 - ln mu)/tau_mu + noise,   dw/dt = -w/tau_w + noise,   d(ln s)/dt = -ln s/tau_s + noise
-
-    delta: a replica of the steering actuator behind the known commands; s: a factor on the cornering stiffness, so
-    that a tyre a little softer or stiffer than believed is not taken for a slippery or a grippy road. Measured are v_y
-    and the yaw rate, and the lateral acceleration where there is a sensor; yaw and speed are taken as they come. The
-    wind along X is taken as zero. Sources: D. Simon, *Optimal State Estimation* (2006), chapter 13; R. Rajamani,
-    *Vehicle Dynamics and Control*, 2nd ed., chapters 2 and 13.
-
-    vehicle, tyre, steering: what the estimator believes (by default the vehicle's tyre and an ideal actuator); period:
+    vehicle, tyre, steering: the assumed car (by default the vehicle's tyre and an ideal actuator); period:
     control period; delay: whether a command acts one period after its measurement; noise_vy, noise_yaw_rate,
-    noise_acceleration: standard deviations of the sensors; belief: what is held before the first
-    measurement.
+    noise_acceleration: standard deviations of the sensors.
     """
+
+    _prior = friction_wind.DEFAULT_PRIOR
+    """`core.estimators.friction_wind.Prior`; an experiment replaces it in a subclass"""
 
     @checked
     def __init__(
@@ -327,13 +278,11 @@ class FrictionWindEstimator:
         noise_vy: Annotated[Positive, "m/s"] = 0.05,
         noise_yaw_rate: Annotated[Positive, "rad/s"] = 0.01,
         noise_acceleration: Annotated[Positive, "m/s^2"] = 0.1,
-        belief: FrictionWindPrior | None = None,
     ) -> None:
         tyre = vehicle.tyre if tyre is None else tyre
         self.vehicle = vehicle
         self.tyre = tyre if isinstance(tyre, Tyre) else load_tyre(tyre)
         self.steering = steering or SteeringActuator.ideal()
-        self.belief = belief or FrictionWindPrior()
         self.delay = bool(delay)
         self.period = period
         rate = lateral_rate(vehicle.chassis, self.tyre.numbers)
@@ -352,7 +301,6 @@ class FrictionWindEstimator:
         *,
         period: float | None = None,
         noise_acceleration: float = 0.1,
-        belief: FrictionWindPrior | None = None,
     ) -> Self:
         """The estimator that knows a plant behind a profile: its car and tyres, steering, delay and sensor noise.
 
@@ -368,33 +316,23 @@ class FrictionWindEstimator:
             noise_vy=max(profile.noise_vy, LEAST_NOISE_VY),
             noise_yaw_rate=max(profile.noise_yaw_rate, LEAST_NOISE_YAW_RATE),
             noise_acceleration=noise_acceleration,
-            belief=belief,
         )
 
     def settings(self) -> Array:
-        """Everything but the vehicle, see `core.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
-        belief, step = self.belief, self.period / self.steps
-        root = math.sqrt(step)
-        values = {
-            "steps": self.steps,
-            "step": step,
-            "delay": self.delay,
-            **dict(zip(("noise_vy", "noise_yaw_rate", "noise_acceleration"), self.noise, strict=True)),
-            "drift_vy": belief.drift_vy * root,
-            "drift_yaw_rate": belief.drift_yaw_rate * root,
-            "tyre_error": belief.tyre_error * root,
-            "log_friction": math.log(belief.nominal_friction),
-            "friction_spread": belief.friction_spread,
-            "friction_kept": math.exp(-step / belief.friction_time),
-            "wind_spread": belief.wind_spread,
-            "wind_kept": math.exp(-step / belief.wind_time),
-            "stiffness_spread": belief.stiffness_spread,
-            "stiffness_kept": math.exp(-step / belief.stiffness_time),
-            "log_least_friction": math.log(belief.friction_range[0]),
-            "log_most_friction": math.log(belief.friction_range[1]),
-            "most_wind": belief.most_wind,
-        }
-        return np.array([values[name] for name in ESTIMATOR_SETTINGS], dtype=float)
+        """Everything but the vehicle: numbers of `core.estimators.friction_wind.Settings`."""
+        prior, step = self._prior, self.period / self.steps
+        root, (least, most) = math.sqrt(step), prior.friction_range
+        noise_vy, noise_yaw_rate, noise_acceleration = self.noise
+        row = friction_wind.Settings.new(
+            1, prior=prior, steps=self.steps, step=step, delay=self.delay, noise_vy=noise_vy,
+            noise_yaw_rate=noise_yaw_rate, noise_acceleration=noise_acceleration, drift_vy=prior.drift_vy * root,
+            drift_yaw_rate=prior.drift_yaw_rate * root, tyre_error=prior.tyre_error * root,
+            log_friction=math.log(prior.nominal_friction), log_least_friction=math.log(least),
+            log_most_friction=math.log(most), friction_left=math.exp(-step / prior.friction_time),
+            wind_left=math.exp(-step / prior.wind_time), stiffness_left=math.exp(-step / prior.stiffness_time),
+        )  # fmt: skip
+        numbers: Array = row.view(float)
+        return numbers
 
     def packed(self) -> Array:
         """The vehicle as the kernel expects it (`core.plants.parameters.PLANT_PARAMETERS`)."""
@@ -445,12 +383,6 @@ class FrictionWindEstimator:
             wind_std=float(own.wind_std),
             stiffness=math.exp(own.z[friction_wind.LOG_STIFFNESS]),
         )
-
-    @property
-    def covariance(self) -> Array:
-        """(5, 5) covariance of z = [v_y, r, ln mu, w, ln s] after the last step."""
-        found: Array = self._memory[0].covariance[:, : friction_wind.N].copy()
-        return found
 
 
 @checked

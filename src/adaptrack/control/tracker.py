@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
-from adaptrack.control.controllers.belief import Said
+from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_target import SpeedTarget
@@ -358,7 +358,7 @@ class Tracker:
         if self.controller.belief is not None and not self._times_doubted:
             self._compare_computation(self.timing, self.controller.belief.computation)
 
-    def _compare_computation(self, timing: Timing, assumed: Said) -> None:
+    def _compare_computation(self, timing: Timing, assumed: SourcedValue) -> None:
         """Warn where calls take longer or shorter than the controller assumes."""
         if abs(timing.computation - assumed.value) <= TOLERANCE * self.period:
             return

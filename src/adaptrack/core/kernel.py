@@ -16,10 +16,10 @@ import importlib
 import struct
 import sys
 from collections import namedtuple
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial, update_wrapper
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -128,22 +128,65 @@ int_vector, int_matrix = (Array(int64, ndim) for ndim in (1, 2))
 
 
 # -- records ----------------------------------------------------------------------------------------------------------
-def record(name: str, fields: Iterable[str | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
+class Setting(NamedTuple):
+    """A field of a record, defined once: Python's settings (`control.settings`) and the C header follow from it."""
+
+    name: str
+    unit: str
+    """empty for a pure number"""
+    default: float | tuple[float, ...]
+    """NaN: unknown, None in Python; a tuple: an array of so many numbers; an int: a whole number in Python"""
+    meaning: str
+    bounds: str = ""
+    """the interval of the values that users may set, such as "[0, inf)"; empty: a constant that they do not set"""
+    hint: str = ""
+    """how the message ends that refuses a value"""
+
+    @property
+    def remark(self) -> str:
+        """Unit, bounds and meaning."""
+        return ", ".join(text for text in (self.unit, self.bounds, self.meaning) if text)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The lower and the upper bound."""
+        low, high = self.bounds[1:-1].split(",")
+        return float(low), float(high)
+
+    @property
+    def kind(self) -> Any:
+        """The type of the field."""
+        return (float64, len(self.default)) if isinstance(self.default, tuple) else float64
+
+
+def record(name: str, fields: Collection[str | Setting | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
     """A record: a named tuple class whose `kinds` are the types of its fields.
 
-    A field is a name alone, of a number (float64; int64 if the name is in `whole`), or a name with its type: a number,
-    an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a row of an array:
-    it has a `dtype` and `new`, and `rows` is the type of an array of it.
+    A field is a name alone, of a number (float64; int64 if the name is in `integers`), a `Setting`, or a name with its
+    type: a number, an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a
+    row of an array: it has a `dtype` and `new`, and `rows` is the type of an array of it.
     """
-    typed_fields = [
-        (field, int64 if field in integers else float64) if isinstance(field, str) else field for field in fields
-    ]
+    settings = {field.name: field for field in fields if isinstance(field, Setting)}
+    kinds = dict(_named_kind(field, integers) for field in fields)
     # It belongs to the module that asks for it: pickled, it is found again by module and name.
     module = sys._getframe(1).f_globals["__name__"]
-    record_type = cast(Any, namedtuple)(name, [field for field, _ in typed_fields], module=module)
-    record_type.kinds, record_type.new = dict(typed_fields), cast(Any, classmethod)(_new)
-    record_type.dtype = _dtype(record_type.kinds)
+    record_type = cast(Any, namedtuple)(name, kinds, module=module)
+    record_type.kinds, record_type.field_settings = kinds, settings
+    record_type.new = cast(Any, classmethod)(_new)
+    record_type.dtype = _dtype(kinds)
     return record_type
+
+
+def _named_kind(field: Any, integers: Iterable[str]) -> tuple[str, Any]:
+    if isinstance(field, Setting):
+        return field.name, field.kind
+    return (field, int64 if field in integers else float64) if isinstance(field, str) else field
+
+
+def defaults(kind: Any) -> Any:
+    """A record of settings at their defaults, records within it included."""
+    settings = kind.field_settings
+    return kind(*(settings[name].default if name in settings else defaults(of) for name, of in kind.kinds.items()))
 
 
 def rows(kind: Any) -> Array:
@@ -208,6 +251,12 @@ def packer(kind: Any, stride: int = 1) -> Any:
     """An inlined function ``pack(p, first, value)``: writes a record where `unpacker`'s reads it."""
     lines = [f"    p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, stride), strict=True)]
     return _written("\n".join(["def written(p, first, value):", *lines]), kind)
+
+
+def copier(kind: Any) -> Any:
+    """An inlined function ``copy(source, target)``: copies the numbers of a row to a different row."""
+    lines = [f"    target.{name} = source.{name}" for name in kind._fields]
+    return _written("\n".join(["def written(source, target):", *lines]), kind)
 
 
 def stepper(kind: Any) -> Any:

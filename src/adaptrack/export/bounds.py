@@ -201,7 +201,8 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
     settings = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")}
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
     if kind is Tracking:
-        pairs += [("period", "step.mpc.informed.estimator", 0), ("period", "step.mpc.informed.learner", 0)]
+        pairs += [("period", MPC_PLACES[name], _place(part.Numbers, "period"))
+                  for name, part in (("estimator", kalman), ("learner", learning))]  # fmt: skip
         for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
             yield at["tracker.settings"], settings[name], len(at), block.words[f"step.mpc.settings.{field}"]
     else:

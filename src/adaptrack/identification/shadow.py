@@ -25,7 +25,7 @@ from adaptrack.base.statistics import Interval, Ratio, block_rms
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
 from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
-from adaptrack.control.controllers.informed import UNNAMED
+from adaptrack.control.controllers.informed import DEFAULT_PROFILE
 from adaptrack.control.controllers.learned import LEAST_LAG, MIDDLE, UNKNOWN_CAR
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators import learning as kernel
@@ -153,7 +153,7 @@ def shadow(
     path: str | os.PathLike[str] | Road | None = None,
     reading: Reading | None = None,
     without: Sequence[str] = (),
-    profile: str | Profile = UNNAMED,
+    profile: str | Profile = DEFAULT_PROFILE,
     belief: GivenSteering = None,
     uncertainty: Uncertainty | None = None,
     learning: Learning | None = None,

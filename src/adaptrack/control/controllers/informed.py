@@ -1,4 +1,4 @@
-"""The parts of the MPC that knows its car: a model with its steering, a filter for its sensors, a constant tuning."""
+"""The parts of the informed MPC: a model with the steering, a filter for the sensors, a constant tuning."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.belief import (
     Belief,
     GivenSteering,
-    Said,
+    SourcedValue,
     Uncertainty,
     assumed_computation,
     belief_of,
-    known_steering,
     limits_of,
+    steering_rows,
 )
 from adaptrack.control.controllers.learned import Learner, Learning
 from adaptrack.control.controllers.limits import Limits
@@ -29,33 +29,34 @@ from adaptrack.control.controllers.tuning import ENTRIES, Tuning
 from adaptrack.control.estimation import Estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
+from adaptrack.core.estimators.learning_method import MAX_HYPOTHESES
 from adaptrack.core.synthesis import informed as kernel
 from adaptrack.core.synthesis.car import KnownWithin
+from adaptrack.core.synthesis.learner import Start
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.core.synthesis.tuning import HORIZON as HORIZON
 from adaptrack.core.synthesis.tuning import tune_informed
 from adaptrack.scenario.profile import Profile, load_profile
 
 AUTO: Literal["auto"] = "auto"
-"""As `learning`: learn where nobody says lag or dead time of the steering."""
-UNASKED = Learning(dead_times=4)
-"""How an MPC learns unasked. Behind a steering that follows at once two hypotheses of the dead time are both far too
+"""As `learning`: learn where lag or dead time of the steering is unknown."""
+DEFAULT_LEARNING = Learning(dead_times=4)
+"""How an MPC learns by default. Behind a steering that follows at once two hypotheses of the dead time are both far too
 long, and the car may leave the road before they have come down: in 41 of 400 drives of four cars, with four in none."""
 GivenLearning = Learning | Literal["auto"] | None
 _MOST = int(PREDICTION_HORIZON.most), int(CONTROL_HORIZON.most)
 _WRONG = {
     kernel.CAR_WRONG: "a number of the car is not positive and finite: correct its file.",
     kernel.LOOP_WRONG: "a number of the profile is negative or not finite: correct its file.",
-    kernel.STEERING_WRONG: "what is said of the steering can be no car's: correct belief, car file or profile.",
+    kernel.STEERING_WRONG: "a number of the steering is impossible: correct belief, car file or profile.",
     kernel.UNCERTAINTY_WRONG: "the uncertainty is beyond its bounds: give a smaller one.",
-    kernel.METHOD_WRONG: f"need 1 to {kernel.MOST_HYPOTHESES} hypotheses of lag and of dead time.",
+    kernel.METHOD_WRONG: f"need 1 to {MAX_HYPOTHESES} hypotheses of lag and of dead time.",
 }
-"""In words what `core.synthesis.informed.informed_parts` answers."""
-UNNAMED = "road"
-"""The profile whose period, preview and sensors are taken where none is named."""
+"""Sentences for the statuses of `core.synthesis.informed.informed_parts`."""
+DEFAULT_PROFILE = "road"
+"""Profile of period, preview and sensors where the caller names none."""
 
 
-def _checked(period: float) -> float:
+def _check_period(period: float) -> float:
     if not 0.0 < period * period < math.inf:
         raise InvalidInput(f"MPC: period = {period!r} s: its square must be positive and finite.")
     return period
@@ -73,19 +74,19 @@ def informed_tuning(
     `core.synthesis.tuning.UNSEEN` times that without a sensor of the lateral velocity.
     """
     world = load_profile(profile)
-    step = _checked(world.period if period is None else period)
-    found = np.zeros(len(ENTRIES))
-    tune_informed(world.numbers(step), Uncertainty.declared(uncertainty).caution, *_MOST, found)
-    return _tuning(found)
+    step = _check_period(world.period if period is None else period)
+    entries = np.zeros(len(ENTRIES))
+    tune_informed(world.numbers(step), (uncertainty or Uncertainty()).caution, *_MOST, entries)
+    return _tuning(entries)
 
 
-def _tuning(found: NDArray[np.float64]) -> Tuning:
-    Np, Nc, Q, R = found.tolist()
+def _tuning(entries: NDArray[np.float64]) -> Tuning:
+    Np, Nc, Q, R = entries.tolist()
     return Tuning(int(Np), int(Nc), Q, R)
 
 
 class Parts(NamedTuple):
-    """What an MPC is made of, beside its vehicle, its moves and its solver."""
+    """What an MPC is made of, in addition to its vehicle, its moves and its solver."""
 
     tuning: Tuning
     model: PredictionModel
@@ -112,16 +113,16 @@ def informed_parts(
     """
     order, world, method, computation_time = order_of(vehicle, profile, given, period, estimator, preview, computation)
     car, step = vehicle, float(order.world.period)
-    made = kernel.Parts.new(1)
-    made["filter"] = (KalmanFilter() if estimator is None else estimator).numbers
-    parts = made[0]
+    rows = kernel.Parts.new(1)
+    rows["filter"] = (KalmanFilter() if estimator is None else estimator).row
+    parts = rows[0]
     if wrong := kernel.informed_parts(order, parts):
         raise InvalidInput(f"MPC: {_WRONG[wrong]}")
-    filtering = KalmanFilter.of(parts.filter)
+    filtering = KalmanFilter.from_row(parts.filter)
     learner = Learner(method, car, filtering, parts.learner) if parts.learns else None
     seconds = 0.0 if method.start is None else method.start.seconds
     belief = belief_of(parts.belief, car, world, computation_time, seconds)
-    learns = "" if learner is None else f": {_within(learner)}"
+    learns = "" if learner is None else f": {_learned_ranges(learner)}"
     return Parts(
         tuning=_tuning(parts.tuning),
         model=PathModel(car if learner is None else learner.car, step, float(parts.lag), float(parts.dead_time)),
@@ -130,30 +131,30 @@ def informed_parts(
         preview=world.preview,
         belief=belief,
         learner=learner,
-        learns=f"{'learns' if parts.learns else 'does not learn'}, {_why(order, given[2])}{learns}",
+        learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, given[2])}{learns}",
     )
 
 
 def order_of(
     vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
-) -> tuple[Any, Profile, Learning, Said]:  # fmt: skip
+) -> tuple[Any, Profile, Learning, SourcedValue]:  # fmt: skip
     """A row of `core.synthesis.informed.Order`, its profile, the method of learning, and the computation time (s).
 
     Arguments and errors are those of `informed_parts`.
     """
-    car, world = vehicle, load_profile(UNNAMED if profile is None else profile)
+    car, world = vehicle, load_profile(DEFAULT_PROFILE if profile is None else profile)
     world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
-    step = _checked(world.period if period is None else period)
+    step = _check_period(world.period if period is None else period)
     steering, uncertainty, learning = given
     if learning is not None:
-        _same_car(car, learning)
-    method = UNASKED if learning is None or learning == AUTO else learning
+        _check_same_car(car, learning)
+    method = DEFAULT_LEARNING if learning is None or learning == AUTO else learning
     named = profile is not None and not isinstance(learning, Learning)
     computation_time = assumed_computation(computation, world, step, named=profile is not None)
     loop = world.numbers(step)
     loop.computation = computation_time.value
-    order = _order(car, loop, known_steering(car, steering, world, named), uncertainty, method)
+    order = _order(car, loop, steering_rows(car, steering, world, named), uncertainty, method)
     order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
     order.filter_given = estimator is not None
     return order, world, method, computation_time
@@ -163,18 +164,18 @@ def _order(
     car: Vehicle, world: Any, steering: tuple[Any, Any, Any], uncertainty: Uncertainty | None, method: Learning
 ) -> Any:
     """A row of `core.synthesis.informed.Order`."""
-    made = kernel.Order.new(1, unsure_given=uncertainty is not None)
-    made["car"], made["world"] = car.numbers, world
-    made["within"] = row_of(KnownWithin, car.known_within, said=car.known_within is not None)
-    made["given"], made["file"], made["actuator"] = steering
-    made["unsure"] = Uncertainty.declared(uncertainty).numbers
-    made["longest_horizon"], made["most_moves"] = _MOST
-    made["method"], made["start"] = method.numbers, method.first
-    return made[0]
+    rows = kernel.Order.new(1, unsure_given=uncertainty is not None)
+    rows["car"], rows["world"] = car.numbers, world
+    rows["within"] = row_of(KnownWithin, car.known_within, said=car.known_within is not None)
+    rows["given"], rows["file"], rows["actuator"] = steering
+    rows["unsure"] = (uncertainty or Uncertainty()).row
+    rows["longest_horizon"], rows["most_moves"] = _MOST
+    rows["method"], rows["start"] = method.row, row_of(Start, method.start)
+    return rows[0]
 
 
-def _same_car(car: Vehicle, learning: Learning | Literal["auto"]) -> None:
-    """Refuse what was learned before of another car."""
+def _check_same_car(car: Vehicle, learning: Learning | Literal["auto"]) -> None:
+    """Refuse a start that was learned on a different car."""
     start = learning.start if isinstance(learning, Learning) else None
     if start is not None and start.car not in ("", car.name):
         raise InvalidInput(
@@ -183,17 +184,17 @@ def _same_car(car: Vehicle, learning: Learning | Literal["auto"]) -> None:
         )
 
 
-def _why(order: Any, learning: GivenLearning) -> str:
+def _learning_reason(order: Any, learning: GivenLearning) -> str:
     """Why a controller learns or not."""
     if learning != AUTO:
         return "as given"
-    said = (order.given, order.file, order.actuator)
-    unsaid = [name for name in ("lag", "dead_time") if all(math.isnan(each[name]) for each in said)]
-    return f"as nobody says {' and '.join(unsaid).replace('_', ' ')}" if unsaid else "as lag and dead time are said"
+    sources = (order.given, order.file, order.actuator)
+    unknown = [name for name in ("lag", "dead_time") if all(math.isnan(steering[name]) for steering in sources)]
+    return f"unknown {' and '.join(unknown).replace('_', ' ')}" if unknown else "known lag and dead time"
 
 
-def _within(learner: Learner) -> str:
-    """Within what a controller learns."""
+def _learned_ranges(learner: Learner) -> str:
+    """The ranges of what a controller learns, in words."""
     (short, long), (soon, late) = learner.ranges
     factor = math.exp(learner.stiffness)
     first = f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s"

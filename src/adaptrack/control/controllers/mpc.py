@@ -136,8 +136,6 @@ def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
 ) -> Parts:
     """A model or an estimator of the caller's, the rest as in the paper."""
-    if not isinstance(estimator, Estimator | None):
-        raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
     own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
     if period not in (None, own.period):
         raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
@@ -147,33 +145,29 @@ def _given_parts(
 class MPC(Controller):
     """Linear MPC with re-discretisation at every step, eqs. (8)-(17).
 
-    By default it knows its car: a `PathModel` with the lag and the dead time of its steering, and a `KalmanFilter` for
-    the sensors of a profile. `published_mpc` is the paper's.
+    Its default model is a `PathModel` with the lag and the dead time of the steering, its default estimator a
+    `KalmanFilter` for the sensors of a profile. `published_mpc` is the paper's.
 
-    vehicle: mass, inertia, axle distances and stiffness of the model, and what its file says of the steering; tuning:
-    constant one, or the one before the scheduler speaks, by default `informed_tuning`; profile: name, file or
-    `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says and
-    the controller does not learn; by default the period, preview and sensors of "road", and of its actuator nothing;
-    belief: a `Steering` that is believed before the car's file, or "unknown": then neither file nor profile is
-    believed about the steering; `belief` of the controller says what it believes, and from whom. computation: time from
-    a control instant until its command is sent, in addition to the dead time; by default that of the named profile,
-    without one 0.
+    vehicle: mass, inertia, axle distances and stiffness of the model, and the steering of the car file; tuning: the
+    constant one, or the one before the scheduler's first; default: `informed_tuning`; profile: name, file or `Profile`
+    of period, preview and sensors (default: "road"); a controller that does not learn takes unknown steering
+    parameters from a named profile; belief: a `Steering` that precedes the car file, or "unknown": ignore car file and
+    profile; the controller's `belief` lists its steering parameters and their sources; computation: time from a
+    control instant until its command is sent, in addition to the dead time; default: that of the named profile, or 0.
 
-    learning: "auto" learns the car while it drives where nobody says lag or dead time of the steering, a `Learning`
-    always, None never: what nobody says is then taken from the slow end of published values, with R raised.
-    uncertainty: how far the belief may be wrong. A controller that does not learn believes the delay longer for it and
-    raises R, by default for what the car's file says in ``[known_within]``; one that learns stays within it, by
-    default within `UNKNOWN_CAR`, or within what the file says where that is more.
+    learning: "auto" learns the car while it drives where lag or dead time of the steering is unknown, a `Learning`
+    always, None never: unknown values are then slow published ones, with R raised. uncertainty: how far the belief may
+    be wrong. A controller that does not learn assumes a longer delay for it and raises R; default: ``[known_within]``
+    of the car file. One that learns stays within it; default: `UNKNOWN_CAR`, or the car file's where that is wider.
 
-    period: control period; limits: by default the believed rate times the period (the paper's table where the delay
-    is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
-    "active-set" (exact), "hildreth" (the paper's), or a `QPSolver`; what is
-    done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: the model is never
-    formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
+    period: control period; limits: by default the assumed rate times the period (the paper's table for an unknown
+    delay) and the assumed angle; preview: whether R_s holds the reference ahead or its present value; solver:
+    "active-set" (exact), "hildreth" (the paper's), or a `QPSolver`, whose `on_uncertified` treats answers that are not
+    certified; speed_floor: lowest speed of the model; longest_horizon, most_moves: largest Np and Nc of a scheduler.
 
-    model, estimator: a `PredictionModel`, and an `Estimator` or its registered name. A `KalmanFilter` alone takes the
-    place of the default one. Any other of them leaves nothing to profile and belief: the other part, the tuning, the
-    limits and a period of 0.1 s are then the paper's (single track, "deadbeat", table) where they are not given.
+    model, estimator: a `PredictionModel`, and an `Estimator` or its registered name. A `KalmanFilter` alone replaces
+    the default one. Any other excludes profile and belief: the other part, the tuning, the limits and a period of
+    0.1 s are then the paper's (single track, "deadbeat", table) unless specified.
 
     A controller drives one vehicle. A copy (`copy`, `deepcopy`, pickle) is a controller of its own, in the same state.
     Used by two threads at once it refuses the second.
@@ -232,8 +226,6 @@ class MPC(Controller):
         self.preview = parts.preview if preview is None else bool(preview)
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
-        if not isinstance(self.solver, QPSolver):
-            raise InvalidInput(f"MPC: solver = {solver!r}: must be 'active-set', 'hildreth' or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))

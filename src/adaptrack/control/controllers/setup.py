@@ -8,8 +8,8 @@ from typing import NamedTuple
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
-from adaptrack.control.controllers.belief import MOST_COMPUTATION, Belief, assumed_computation, believed
-from adaptrack.control.controllers.informed import UNNAMED
+from adaptrack.control.controllers.belief import MOST_COMPUTATION, Belief, assumed_computation, belief_about_steering
+from adaptrack.control.controllers.informed import DEFAULT_PROFILE
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -25,7 +25,7 @@ def world_and_belief(
     InvalidInput
         For a belief that is no `Steering`, or a period or computation time out of range.
     """
-    car, world = vehicle, load_profile(UNNAMED if profile is None else profile)
+    car, world = vehicle, load_profile(DEFAULT_PROFILE if profile is None else profile)
     step = real(where, "period", world.period if period is None else period)
     if not 0.0 < step < math.inf:
         raise InvalidInput(f"{where}: period = {step!r} s: must be positive and finite.")
@@ -33,7 +33,7 @@ def world_and_belief(
     if seconds is not None and not 0.0 <= seconds <= MOST_COMPUTATION:
         raise InvalidInput(f"{where}: computation = {seconds!r} s: must be from 0 to {MOST_COMPUTATION:g}.")
     computation_time = assumed_computation(seconds, world, step, named=profile is not None)
-    return world, step, believed(car, belief, world, computation_time, named=profile is not None)
+    return world, step, belief_about_steering(car, belief, world, computation_time, named=profile is not None)
 
 
 class LoopSetup(NamedTuple):

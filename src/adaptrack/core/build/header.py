@@ -145,6 +145,7 @@ def _collect(kind: Any, records: dict[Any, str]) -> None:
     module = import_module(kind.__module__)
     name = next((name for name, value in vars(module).items() if value is kind), kind.__name__)
     remark, fields = remarks(kind.__module__).get(name, ("", {}))
+    fields = fields | {name: setting.remark for name, setting in kind.field_settings.items()}
     lines = [f"    {_field(name, field_kind)}{_after(fields, name)}\n" for name, field_kind in kind.kinds.items()]
     records[kind] = f"{_comment(remark)}{_struct(kind)} {{\n{''.join(lines)}}};\n"
 

@@ -19,7 +19,22 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, float64, inlined, int64, local, matrix, record, rows, several, unpacker, vector, void
+from ..kernel import (
+    Setting,
+    defaults,
+    exported,
+    float64,
+    inlined,
+    int64,
+    local,
+    matrix,
+    record,
+    rows,
+    several,
+    vector,
+    viewer,
+    void,
+)
 from ..maths.bits import whole
 from ..maths.exact import clip, sqrt
 from ..maths.exponential import exp, hypot
@@ -32,30 +47,37 @@ from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_f
 from .contract import ABSURD
 from .extended_kalman import carry, correct, scatter
 
-ESTIMATOR_SETTINGS = (
+Prior = record("Prior", (
+    Setting("nominal_friction", "", 0.65, "median of friction, to which it returns without evidence"),
+    Setting("friction_spread", "", 0.33, "standard deviation of ln(friction): friction from 0.3 to 1"),
+    Setting("friction_time", "s", 8.0, "correlation time of friction"),
+    Setting("friction_range", "", (0.1, 1.5), "of the estimate"),
+    Setting("wind_spread", "m/s", 12.0, "standard deviation of the wind: gusts up to 30 m/s"),
+    Setting("wind_time", "s", 3.0, "correlation time of a gust"),
+    Setting("most_wind", "m/s", 60.0, "largest estimate to either side"),
+    Setting("stiffness_spread", "", 0.05, "standard deviation of ln(stiffness): how well tyres are known"),
+    Setting("stiffness_time", "s", 600.0, "correlation time of the stiffness, which hardly changes in a drive"),
+    Setting("tyre_error", "s^0.5", 0.02, "white noise on the lateral force of an axle, over that force"),
+    Setting("drift_vy", "m/s per s^0.5", 0.02, "random walk of the lateral velocity beyond the model"),
+    Setting("drift_yaw_rate", "rad/s per s^0.5", 0.006, "random walk of the yaw rate beyond the model"),
+))  # fmt: skip
+"""Constants of the estimator: ln(friction), wind and ln(stiffness) are Gauss-Markov processes."""
+DEFAULT_PRIOR = defaults(Prior)
+
+Settings = record("Settings", (
+    ("prior", Prior),
     "steps",  # predictions per control period
     "step",  # s, length of each
     "delay",  # 1: a command takes effect one period after its measurement, 0: at once
-    "noise_vy",  # m/s, standard deviation of the measured lateral velocity, > 0
-    "noise_yaw_rate",  # rad/s, likewise
-    "noise_acceleration",  # m/s^2, likewise
-    "drift_vy",  # m/s per step, standard deviation of what the model leaves out
-    "drift_yaw_rate",  # rad/s per step
-    "tyre_error",  # s per step, likewise of the impulse of an axle, over its force
+    "noise_vy", "noise_yaw_rate", "noise_acceleration",  # m/s, rad/s, m/s^2: standard deviations of the sensors, > 0
+    "drift_vy", "drift_yaw_rate",  # m/s, rad/s: standard deviations of what the model leaves out in a step
+    "tyre_error",  # s, standard deviation of the impulse of an axle in a step, over its force
     "log_friction",  # of the nominal friction
-    "friction_spread",  # prior standard deviation of ln mu
-    "friction_kept",  # share of a deviation of ln mu from nominal that is left after a step
-    "wind_spread",  # m/s, prior standard deviation of w
-    "wind_kept",
-    "stiffness_spread",  # prior standard deviation of ln s
-    "stiffness_kept",
-    "log_least_friction",  # ln mu stays within these
-    "log_most_friction",
-    "most_wind",  # m/s, |w| stays below
-)
-"""An estimator's settings, fixed over a run, in this order."""
-Settings = record("Settings", ESTIMATOR_SETTINGS)
-_unpack_settings = unpacker(Settings)
+    "log_least_friction", "log_most_friction",  # ln mu stays within these
+    "friction_left", "wind_left", "stiffness_left",  # shares of a deviation that remain after a step
+))  # fmt: skip
+"""An estimator's settings, fixed over a run."""
+_settings_of = viewer(Settings)
 
 N = 5
 VY, YAW_RATE, LOG_FRICTION, WIND, LOG_STIFFNESS = range(N)
@@ -159,6 +181,12 @@ def accelerations(angle, yaw, vx, p, z, slopes):
 
 
 @inlined
+def _added_variance(spread, left):
+    """Variance that a step adds to a Gauss-Markov process of which a share is left after it."""
+    return spread * spread * (1.0 - left * left)
+
+
+@inlined
 def _predict(angle, yaw, vx, p, s, own):
     """Carry z and its covariance over one step, under the steering angle, yaw and speed of its middle; s: settings.
 
@@ -181,13 +209,13 @@ def _predict(angle, yaw, vx, p, s, own):
         mixed[VY, j], mixed[YAW_RATE, j] = vy_v * slide + vy_r * turn, r_v * slide + r_r * turn
     mixed[VY, VY] += 1.0
     mixed[YAW_RATE, YAW_RATE] += 1.0
-    z[LOG_FRICTION] = s.log_friction + s.friction_kept * (z[LOG_FRICTION] - s.log_friction)
-    z[WIND] *= s.wind_kept
-    z[LOG_STIFFNESS] *= s.stiffness_kept
+    z[LOG_FRICTION] = s.log_friction + s.friction_left * (z[LOG_FRICTION] - s.log_friction)
+    z[WIND] *= s.wind_left
+    z[LOG_STIFFNESS] *= s.stiffness_left
 
-    kept = _states()
-    kept[LOG_FRICTION], kept[WIND], kept[LOG_STIFFNESS] = s.friction_kept, s.wind_kept, s.stiffness_kept
-    carry(mixed, kept, P, _motion())
+    left = _states()
+    left[LOG_FRICTION], left[WIND], left[LOG_STIFFNESS] = s.friction_left, s.wind_left, s.stiffness_left
+    carry(mixed, left, P, _motion())
     v = unpack(p)
     front, rear = s.tyre_error * front, s.tyre_error * rear
     push = hypot(front, rear) / v.mass
@@ -197,11 +225,9 @@ def _predict(angle, yaw, vx, p, s, own):
     P[VY, YAW_RATE] += both
     P[YAW_RATE, VY] += both
     P[YAW_RATE, YAW_RATE] += s.drift_yaw_rate * s.drift_yaw_rate + twist * twist
-    P[LOG_FRICTION, LOG_FRICTION] += s.friction_spread * s.friction_spread * (1.0 - s.friction_kept * s.friction_kept)
-    P[WIND, WIND] += s.wind_spread * s.wind_spread * (1.0 - s.wind_kept * s.wind_kept)
-    P[LOG_STIFFNESS, LOG_STIFFNESS] += (
-        s.stiffness_spread * s.stiffness_spread * (1.0 - s.stiffness_kept * s.stiffness_kept)
-    )
+    P[LOG_FRICTION, LOG_FRICTION] += _added_variance(s.prior.friction_spread, s.friction_left)
+    P[WIND, WIND] += _added_variance(s.prior.wind_spread, s.wind_left)
+    P[LOG_STIFFNESS, LOG_STIFFNESS] += _added_variance(s.prior.stiffness_spread, s.stiffness_left)
 
 
 @inlined
@@ -224,7 +250,8 @@ def _begin(s, own):
     """Before the first measurement."""
     spread = _states()
     spread[VY], spread[YAW_RATE] = UNKNOWN_MOTION, UNKNOWN_MOTION
-    spread[LOG_FRICTION], spread[WIND], spread[LOG_STIFFNESS] = s.friction_spread, s.wind_spread, s.stiffness_spread
+    spread[LOG_FRICTION], spread[WIND] = s.prior.friction_spread, s.prior.wind_spread
+    spread[LOG_STIFFNESS] = s.prior.stiffness_spread
     for i in range(N):
         own.z[i] = 0.0
         for j in range(N):
@@ -240,14 +267,14 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
 
     measured: x_c = [v_y, yaw, yaw rate, y]; speed: v_x (m/s); command: the controller's last steering command (rad);
     acceleration: measured lateral acceleration (m/s^2), NaN where there is no such sensor; p: the vehicle that the
-    estimator believes in, packed as a plant (`plants.parameters`); settings: see ESTIMATOR_SETTINGS. A row of zeros
+    estimator believes in, packed as a plant (`plants.parameters`); settings: numbers of `Settings`. A row of zeros
     in memory (slots,) is an estimator before its first step.
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
     A filter whose state or variances are not finite begins anew.
     """
     own = memory[slot]
-    z, P, s = own.z, own.covariance, _unpack_settings(settings)
+    z, P, s = own.z, own.covariance, _settings_of(settings, 0)
     yaw = measured[MEASURED.yaw] if abs(measured[MEASURED.yaw]) < ABSURD else own.yaw
     speed = speed if abs(speed) < ABSURD else own.speed
     command = command if abs(command) < ABSURD else own.waiting
@@ -276,8 +303,8 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
         _take_in(acceleration - lateral, s.noise_acceleration, h, own)
 
     z[LOG_FRICTION] = clip(z[LOG_FRICTION], s.log_least_friction, s.log_most_friction)
-    z[WIND] = clip(z[WIND], -s.most_wind, s.most_wind)
-    most = MOST_STIFFNESS * s.stiffness_spread
+    z[WIND] = clip(z[WIND], -s.prior.most_wind, s.prior.most_wind)
+    most = MOST_STIFFNESS * s.prior.stiffness_spread
     z[LOG_STIFFNESS] = clip(z[LOG_STIFFNESS], -most, most)
     own.friction, own.wind = exp(z[LOG_FRICTION]), z[WIND]
     own.friction_std = own.friction * sqrt(P[LOG_FRICTION, LOG_FRICTION])

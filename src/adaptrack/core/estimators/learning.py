@@ -18,8 +18,8 @@ known of it; q: half of that of front over rear; mu: friction. Wind, bank and fr
 the usual friction (first-order Gauss-Markov), the others stay. A wheel-angle sensor reads delta + o. g keeps the slope
 C at small slip and the limit D; a Magic Formula with shape 1.35 lies within 7 % of it up to x = 1.
 
-The logarithms of the likelihoods of the innovations (each counted up to `bound` standard deviations) weigh the filters,
-with a slow forgetting; what is learned is mean and variance of the mixture. Sources: D. T. Magill, Optimal adaptive
+The logarithms of the likelihoods of the innovations (bounded: `innovation_bound`) weigh the filters, with a slow
+forgetting; what is learned is mean and variance of the mixture. Sources: D. T. Magill, Optimal adaptive
 estimation of sampled stochastic processes, IEEE Trans. Automatic Control 10 (1965) (the bank); H. W. Sorenson, D. L.
 Alspach, Recursive Bayesian estimation using Gaussian sums, Automatica 7 (1971) (the mixture); D. Simon, *Optimal State
 Estimation* (2006), chapters 10.2 and 13; R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., chapter 2.
@@ -52,8 +52,10 @@ from ..plants.forces import GRAVITY
 from . import kalman
 from .contract import ABSURD
 from .extended_kalman import bounded, carry, correct, scatter
+from .learning_method import LearningMethod
 
 Numbers = record("Numbers", (
+    ("method", LearningMethod),  # its bias is the bound of |b|
     "period",  # s
     "computation",  # s, from a measurement until its command is given
     "lag",  # s, of the steering, as given
@@ -62,33 +64,18 @@ Numbers = record("Numbers", (
     "mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear",  # as known; stiffness of an axle
     "wind_turn",  # 1/m, yaw acceleration over lateral acceleration of side wind
     "rate",  # rad/s, of the steering; inf: no limit
-    "bound",  # standard deviations up to which an innovation counts
-    "forgetting",  # share of the evidence that an exciting period takes away
-    "tempering",  # share of a log-likelihood that counts: successive innovations are not independent
     "drift_vy", "drift_yaw_rate", "drift_wind", "drift_bias", "drift_bank", "drift_stiffness", "drift_balance",
-    "drift_friction", "drift_lag", "drift_dead_time",  # variances that a period adds
+    "drift_friction", "drift_delay",  # variances that a period adds
+    "drift_wheels",  # rad^2, variance that a period adds to the wheel angle in the controller's filter
     "wind_left", "bank_left", "friction_left",  # share of a deviation that is left after a period
     "usual_friction",  # ln mu to which friction returns
-    "sliding",  # s, variance of an axle's impulse in a second over the square of F^2/D, by which tyres deviate
-    "angle_error",  # rad^2, variance by which a wheel angle deviates from its model, beside the sensor's noise
     "least_lag", "most_lag", "least_dead_time", "most_dead_time",  # s, as given
-    "most_stiffness", "most_balance", "most_bias",  # bounds of |s|, |q| and |b|
-    "modest",  # factor on the standard deviations of the filters: what they leave out makes them too small
+    "most_stiffness", "most_balance",  # bounds of |s| and |q|
     "prior_lag", "prior_dead_time", "prior_delay", "prior_stiffness", "prior_balance", "prior_bias",  # as given
-    "cautious",  # standard deviations of the delay that are added to its mean
-    "tolerated", "most_caution",  # s, standard deviation that doubles R; largest factor on R
-    "tolerated_stiffness",  # the same of s
-    "doubting_caution",  # factor on R while a quantity is at a bound, or in a contradiction
-    "unmodelled_lag", "unmodelled_dead_time", "unmodelled_delay",  # standard deviations beside those of the filters
-    "unmodelled_stiffness", "unmodelled_balance", "unmodelled_bias",
-    "window",  # share of a period in the mean of the squared innovations
-    "returning", "doubting",  # likewise of the way back to the prior in a contradiction, and of the doubt
-    "longer", "shorter",  # s per period, by which what is believed of lag and dead time changes at most
-    "stiffer",  # likewise of s
-    "turning",  # rad per period, likewise of the bias
-    "wandering",  # rad/s, steering rate by which the wheels are elsewhere for every second of uncertain delay
-    "drift_wheels",  # rad^2, variance that a period adds to the wheel angle in the controller's filter
-    "noise_share", "noise_range",  # least share of a new sample in the noise; factor within which it may be
+    "delay_tolerance", "stiffness_tolerance",  # s, -: standard deviations that double R
+    "evidence_share", "contradiction_share", "return_share", "doubt_share", "noise_share",  # of a period in each time
+    "max_delay_step",  # s per period, by which the lag and the dead time in use change at most
+    "max_stiffness_step", "max_bias_step",  # 1 and rad per period, likewise
     ("variance", (float64, kalman.SENSORS)),  # of the sensors, as given; inf: none
 ))  # fmt: skip
 """The parameters."""
@@ -356,7 +343,8 @@ def _predict_covariance(own, mixed, f, g, p):
     carry(mixed, kept, P, _motion())
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
-    by_front, by_rear = p.sliding * p.period * front * front, p.sliding * p.period * rear * rear
+    sliding = square(p.method.sliding) * p.period
+    by_front, by_rear = sliding * front * front, sliding * rear * rear
     both = turning * (p.lf * by_front - p.lr * by_rear)
     P[VY, VY] += p.drift_vy + by_front + by_rear
     P[VY, RATE] += both
@@ -369,8 +357,8 @@ def _predict_covariance(own, mixed, f, g, p):
         P[BIAS, BIAS] += p.drift_bias
         P[STIFFNESS, STIFFNESS] += p.drift_stiffness
         P[BALANCE, BALANCE] += p.drift_balance
-        P[LAG, LAG] += p.drift_lag
-        P[DEAD_TIME, DEAD_TIME] += p.drift_dead_time
+        P[LAG, LAG] += p.drift_delay
+        P[DEAD_TIME, DEAD_TIME] += p.drift_delay
 
 
 @inlined
@@ -398,8 +386,8 @@ def _take_in(sensor, value, variance, own, speed, by_dead_time, p):
     h, cross = _states(), _states()
     innovation = value - _reading(sensor, own, speed, by_dead_time, p, h)
     variance = scatter(variance, h, own.covariance, cross)
-    correct(bounded(innovation, variance, p.bound), variance, cross, own.x, own.covariance)
-    surprise = min(square(innovation) / variance, square(p.bound))
+    correct(bounded(innovation, variance, p.method.innovation_bound), variance, cross, own.x, own.covariance)
+    surprise = min(square(innovation) / variance, square(p.method.innovation_bound))
     own.disagreement += surprise
     return -0.5 * (surprise + log(variance))
 
@@ -410,7 +398,7 @@ def _bound(own, p):
     x = own.x
     x[STIFFNESS] = clip(x[STIFFNESS], -p.most_stiffness, p.most_stiffness)
     x[BALANCE] = clip(x[BALANCE], -p.most_balance, p.most_balance)
-    x[BIAS] = clip(x[BIAS], -p.most_bias, p.most_bias)
+    x[BIAS] = clip(x[BIAS], -p.method.bias, p.method.bias)
     x[FRICTION] = clip(x[FRICTION], -2.5, 0.5)
     x[LAG] = clip(x[LAG], p.least_lag, p.most_lag)
     x[DEAD_TIME] = p.computation + clip(x[DEAD_TIME] - p.computation, p.least_dead_time, p.most_dead_time)
@@ -435,7 +423,7 @@ def _learn_noise(sensor, p, measured, m):
     if math.isfinite(difference) and value != one and one != two and two != three and m.slow < 0.5:
         m.noise_count[sensor] += 1.0
         count, found = m.noise_count[sensor], m.noise[sensor]
-        squared, wide = difference * difference / 20.0, p.noise_range * p.noise_range
+        squared, wide = difference * difference / 20.0, p.method.noise_range * p.method.noise_range
         if count > SETTLED:
             squared = min(squared, LIVELY * LIVELY * found)
         found += max(1.0 / count, p.noise_share) * (squared - found)
@@ -534,15 +522,15 @@ def _moments(state, p, memory):
 
 
 @inlined
-def _toward(now, wanted, more, less):
+def _toward(now, wanted, most):
     """A step from a number towards a wanted one, so much up or down at most."""
-    return now + clip(wanted - now, -less, more)
+    return now + clip(wanted - now, -most, most)
 
 
 @inlined
 def _widened(variance, unmodelled, prior, bound, p, m):
     """A standard deviation as reported: not too small, not below the prior's at a bound, else not much above it."""
-    found = sqrt(square(p.modest) * variance + square(unmodelled))
+    found = sqrt(square(p.method.sigma_inflation) * variance + square(unmodelled))
     least = prior if m.beliefs.belief_at_bound == 1.0 + bound else 0.0
     return max(min(found, max(prior, sqrt(variance))), least)
 
@@ -565,7 +553,7 @@ def _find_bound(p, m, memory):
             value, high = _mean(BALANCE, p, memory), p.most_balance
             low = -high
         else:
-            value, high = _mean(BIAS, p, memory), p.most_bias
+            value, high = _mean(BIAS, p, memory), p.method.bias
             low = -high
         share = AWAY if was == 1.0 + quantity else NEAR
         width = 2.0 * high if low == -math.inf else high - low
@@ -589,7 +577,7 @@ def _find_state(p, m, memory):
         b.belief_state = AT_BOUND
     if m.disagreement > (AGREED if was == CONTRADICTORY else CONTRADICTED):
         b.belief_state = CONTRADICTORY
-    m.doubt += p.doubting * ((1.0 if b.belief_state >= AT_BOUND else 0.0) - m.doubt)
+    m.doubt += p.doubt_share * ((1.0 if b.belief_state >= AT_BOUND else 0.0) - m.doubt)
 
 
 @inlined
@@ -597,7 +585,7 @@ def _return_to_prior(p, memory):
     """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
     for i in range(whole(p.hypotheses)):
         own = hypothesis(i, p.kept, memory)
-        own.evidence *= 1.0 - p.returning
+        own.evidence *= 1.0 - p.return_share
         _grow(LAG, p.prior_lag, own, p)
         _grow(DEAD_TIME, p.prior_dead_time, own, p)
         _grow(STIFFNESS, p.prior_stiffness, own, p)
@@ -608,13 +596,13 @@ def _return_to_prior(p, memory):
 @inlined
 def _grow(state, prior, own, p):
     """A variance on its way to the prior's."""
-    own.covariance[state, state] += p.returning * max(square(prior) - own.covariance[state, state], 0.0)
+    own.covariance[state, state] += p.return_share * max(square(prior) - own.covariance[state, state], 0.0)
 
 
 @inlined
 def _write_beliefs(p, m, memory):
     """Write what is learned, and let what the controller believes follow it."""
-    b = m.beliefs
+    b, method = m.beliefs, p.method
     _find_state(p, m, memory)
     lag, of_lag = _moments(LAG, p, memory)
     dead_time, of_dead_time = _moments(DEAD_TIME, p, memory)
@@ -630,27 +618,31 @@ def _write_beliefs(p, m, memory):
     b.belief_stiffness, b.belief_balance, b.belief_bias = exp(stiffness), exp(2.0 * balance), bias
     b.belief_bank, b.belief_friction = bank, exp(friction)
     b.belief_noise = sqrt(m.noise[MEASURED.yaw_rate] / p.variance[MEASURED.yaw_rate])
-    b.belief_lag_sigma = _widened(of_lag, p.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
-    b.belief_dead_time_sigma = _widened(of_dead_time, p.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m)
-    b.belief_delay_sigma = _widened(variance, p.unmodelled_delay, p.prior_delay, LAG_BOUND, p, m)
+    b.belief_lag_sigma = _widened(of_lag, method.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
+    b.belief_dead_time_sigma = _widened(
+        of_dead_time, method.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m
+    )
+    b.belief_delay_sigma = _widened(variance, method.unmodelled_delay, p.prior_delay, LAG_BOUND, p, m)
     if b.belief_at_bound == 1.0 + DEAD_TIME_BOUND:
         b.belief_delay_sigma = max(b.belief_delay_sigma, p.prior_delay)
-    b.belief_stiffness_sigma = _widened(of_stiffness, p.unmodelled_stiffness, p.prior_stiffness, STIFFNESS_BOUND, p, m)
-    b.belief_balance_sigma = _widened(4.0 * of_balance, p.unmodelled_balance, p.prior_balance, BALANCE_BOUND, p, m)
-    b.belief_bias_sigma = _widened(of_bias, p.unmodelled_bias, p.prior_bias, BIAS_BOUND, p, m)
+    b.belief_stiffness_sigma = _widened(
+        of_stiffness, method.unmodelled_stiffness, p.prior_stiffness, STIFFNESS_BOUND, p, m
+    )
+    b.belief_balance_sigma = _widened(4.0 * of_balance, method.unmodelled_balance, p.prior_balance, BALANCE_BOUND, p, m)
+    b.belief_bias_sigma = _widened(of_bias, method.unmodelled_bias, p.prior_bias, BIAS_BOUND, p, m)
     b.belief_bank_sigma, b.belief_friction_sigma = sqrt(of_bank), sqrt(of_friction)
 
-    later = p.cautious / sigma
+    later = method.delay_quantile / sigma
     wanted_lag = clip(lag + later * (of_lag + both), p.least_lag, p.most_lag)
     wanted_dead_time = clip(dead_time + later * (of_dead_time + both), p.least_dead_time, p.most_dead_time)
-    b.used_lag = _toward(b.used_lag, wanted_lag, p.longer, p.shorter)
-    b.used_dead_time = _toward(b.used_dead_time, wanted_dead_time, p.longer, p.shorter)
-    b.used_stiffness = exp(_toward(log(b.used_stiffness), stiffness, p.stiffer, p.stiffer))
-    b.used_balance = exp(_toward(log(b.used_balance), 2.0 * balance, p.stiffer, p.stiffer))
-    b.used_bias = _toward(b.used_bias, bias, p.turning, p.turning)
-    caution = min(1.0 + variance / square(p.tolerated), p.most_caution)
-    caution *= 1.0 + of_stiffness / square(p.tolerated_stiffness)
-    b.used_caution = caution * (1.0 + m.doubt * (p.doubting_caution - 1.0))
+    b.used_lag = _toward(b.used_lag, wanted_lag, p.max_delay_step)
+    b.used_dead_time = _toward(b.used_dead_time, wanted_dead_time, p.max_delay_step)
+    b.used_stiffness = exp(_toward(log(b.used_stiffness), stiffness, p.max_stiffness_step))
+    b.used_balance = exp(_toward(log(b.used_balance), 2.0 * balance, p.max_stiffness_step))
+    b.used_bias = _toward(b.used_bias, bias, p.max_bias_step)
+    caution = min(1.0 + variance / square(p.delay_tolerance), method.max_delay_caution)
+    caution *= 1.0 + of_stiffness / square(p.stiffness_tolerance)
+    b.used_caution = caution * (1.0 + m.doubt * (method.doubt_caution - 1.0))
 
 
 @inlined
@@ -684,7 +676,7 @@ def _judge(p, m, memory):
         own = hypothesis(i, p.kept, memory)
         surprise += own.weight * own.disagreement
     if math.isfinite(surprise):
-        m.disagreement += p.window * (surprise - m.disagreement)
+        m.disagreement += p.contradiction_share * (surprise - m.disagreement)
     if m.beliefs.belief_state == CONTRADICTORY:
         _return_to_prior(p, memory)
 
@@ -709,7 +701,7 @@ def learn(speed, measured, command, left_out, parameters, memory):
         usable = _is_usable(sensor, left_out, p, measured, m)
         _learn_noise(sensor, p, measured, m)
         variance[sensor] = m.noise[sensor] if usable else math.inf
-    variance[MEASURED.wheel_angle] += p.angle_error
+    variance[MEASURED.wheel_angle] += square(p.method.angle_error)
     if m.slow > 0.5:
         _creep(age, p, memory)
         return
@@ -719,7 +711,7 @@ def learn(speed, measured, command, left_out, parameters, memory):
     if _difference(p, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
         for i in range(whole(p.hypotheses)):
             own = hypothesis(i, p.kept, memory)
-            own.evidence = (1.0 - p.forgetting) * own.evidence + p.tempering * own.weight
+            own.evidence = (1.0 - p.evidence_share) * own.evidence + p.method.tempering * own.weight
     _weigh(p, memory)
     _judge(p, m, memory)
     _write_beliefs(p, m, memory)
@@ -769,6 +761,6 @@ def believe(parameters, memory, model, own, remembered):
     for sensor in range(kalman.SENSORS):
         known = p.variance[sensor]
         filtering.variance[sensor] = m.noise[sensor] if known < math.inf else known
-    unknown = p.wandering * b.belief_delay_sigma / p.modest
+    unknown = p.method.wheel_drift_rate * b.belief_delay_sigma / p.method.sigma_inflation
     filtering.drift[kalman.STATE.wheel_angle] = p.drift_wheels + unknown * unknown * p.period
     kalman.forget_speed(remembered)

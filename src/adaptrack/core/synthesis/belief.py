@@ -1,17 +1,17 @@
-"""What a controller believes of its car's steering, from whom, and how far it may be wrong."""
+"""The steering that a controller assumes, the source of each number, and its uncertainty."""
 
 from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, record, void
+from ..kernel import Row, Setting, exported, float64, inlined, int64, record, void
 from ..maths.exponential import hypot, log, power
 from .car import KnownWithin, Steering
 from .filter import Drifts
 
 GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED = range(6)
-"""Who says a number: the caller; the car's file; the profile; nobody, so the slow end of published values; nobody, so
-it is learned from the middle of these; an earlier drive."""
+"""Sources of a number: the caller; the car file; the profile; none, so a slow published value is assumed; none, so
+learning starts at the published median; an earlier drive."""
 Belief = record(
     "Belief",
     (
@@ -23,9 +23,16 @@ Belief = record(
     ),
     integers=("lag_source", "dead_time_source", "rate_source", "limit_source"),
 )  # fmt: skip
-"""The steering as a controller believes it."""
-Uncertainty = record("Uncertainty", ("lag", "dead_time", "stiffness", "mass"))
-"""By how much it may be wrong to either side: s, s, a factor, a share of mass and yaw inertia."""
+"""The steering that a controller assumes."""
+MAX_DELAY, MAX_STIFFNESS, MAX_MASS = 1.0, 4.0, 0.9
+"""s, -, -: largest uncertainties."""
+Uncertainty = record("Uncertainty", (
+    Setting("lag", "s", 0.0, "of the steering's lag", f"[0, {MAX_DELAY:g}]"),
+    Setting("dead_time", "s", 0.0, "of the steering's dead time", f"[0, {MAX_DELAY:g}]"),
+    Setting("stiffness", "", 1.0, "factor on the cornering stiffness of an axle", f"[1, {MAX_STIFFNESS:g}]"),
+    Setting("mass", "", 0.0, "share of mass and yaw inertia", f"[0, {MAX_MASS:g}]"),
+))  # fmt: skip
+"""By how much the belief may be wrong, to either side."""
 Bounds = record("Bounds", ("move", "ahead", "angle"))
 """rad: of the change of a command in a period, of the command ahead of the wheels, of the command; to either side."""
 
@@ -35,7 +42,7 @@ opendbc lists for series cars, 0.1 to 0.4 s (`steerActuatorDelay`). Unknown stee
 delay assumed too short loses the car and one too long costs little. A shorter computation time lengthens the dead time.
 """
 LEAST_LAG = 0.05
-"""s, believed at least where only the dead time is known."""
+"""s, shortest lag that is assumed where only the dead time is known."""
 LEAST_STEERING_RATE = 0.4
 """rad/s at the road wheels, the lowest of published rate limits (CommonRoad vehicle models, vehicle 2)."""
 MOVE, ANGLE = math.pi / 12, math.pi / 6
@@ -46,13 +53,11 @@ largest factor on R for it; rad/s, steering rate."""
 WIDE, STIFFNESS_DRIFTS = 1.6, (3.0, 5.0)
 """Factor of the stiffness; by which, at it, the drifts of the disturbances are divided and that of sliding multiplied:
 the best of 12 settings on 16 drives of each of six cars in `production`, known by mass and wheelbase alone."""
-MOST_DELAY, MOST_STIFFNESS, MOST_MASS = 1.0, 4.0, 0.9
-"""Largest uncertainties: s, of a delay; -, factor of the stiffness; -, share of the mass."""
 
 
 @inlined
-def _first(given, car, actuator):
-    """The first number that is said, and who says it."""
+def _first_known(given, car, actuator):
+    """The first known number and its source."""
     if not math.isnan(given):
         return given, GIVEN
     if not math.isnan(car):
@@ -62,16 +67,16 @@ def _first(given, car, actuator):
 
 @exported(void(Row(Steering), Row(Steering), Row(Steering), float64, Row(Belief)))
 def believe_steering(given, car, actuator, computation, belief):
-    """Write what is believed of a steering: each number from the first that says it, the slow end where nobody does.
+    """Write the belief about a steering: each number from its first source, a slow published value where it has none.
 
-    given: by the caller; car: by the car's file; actuator: by the profile; computation: s. What is said of lag or dead
-    time is taken off the other.
+    given: the caller's; car: of the car file; actuator: of the profile; computation: s. A known lag shortens an assumed
+    dead time, and a known dead time an assumed lag.
     """
     transport = max(PUBLISHED_COMPUTATION - computation, 0.0)
-    lag, belief.lag_source = _first(given.lag, car.lag, actuator.lag)
-    dead, belief.dead_time_source = _first(given.dead_time, car.dead_time, actuator.dead_time)
-    rate, belief.rate_source = _first(given.rate, car.rate, actuator.rate)
-    limit, belief.limit_source = _first(given.limit, car.limit, actuator.limit)
+    lag, belief.lag_source = _first_known(given.lag, car.lag, actuator.lag)
+    dead, belief.dead_time_source = _first_known(given.dead_time, car.dead_time, actuator.dead_time)
+    rate, belief.rate_source = _first_known(given.rate, car.rate, actuator.rate)
+    limit, belief.limit_source = _first_known(given.limit, car.limit, actuator.limit)
     belief.lag, belief.dead_time = lag, dead
     if belief.lag_source == ASSUMED:
         belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), LEAST_LAG)
@@ -83,7 +88,7 @@ def believe_steering(given, car, actuator, computation, belief):
 
 
 @inlined
-def nobody_says(source):
+def is_unknown(source):
     """Whether a number is assumed."""
     return source in (ASSUMED, TO_LEARN)
 
@@ -91,39 +96,39 @@ def nobody_says(source):
 @inlined
 def is_cautious(belief):
     """Whether lag or dead time is assumed."""
-    return nobody_says(belief.lag_source) or nobody_says(belief.dead_time_source)
+    return is_unknown(belief.lag_source) or is_unknown(belief.dead_time_source)
 
 
 @inlined
-def _within(known, most):
+def _capped(known, most):
     return 0.0 if math.isnan(known) else min(known, most)
 
 
 @inlined
 def _largest(a, b):
-    """The larger of two factors, 1 where neither is said."""
+    """The larger of two factors, 1 where both are unknown."""
     return max(1.0 if math.isnan(a) else a, 1.0 if math.isnan(b) else b)
 
 
 @exported(void(Row(KnownWithin), Row(Belief), Row(Uncertainty)))
 def uncertainty_of_car(within, belief, unsure):
-    """Write what the car's file says; of lag and dead time only where the belief has them from there as well."""
-    unsure.lag = _within(within.steering_lag, MOST_DELAY) if belief.lag_source == CAR_FILE else 0.0
-    unsure.dead_time = _within(within.steering_dead_time, MOST_DELAY) if belief.dead_time_source == CAR_FILE else 0.0
-    unsure.stiffness = min(_largest(within.stiffness_front, within.stiffness_rear), MOST_STIFFNESS)
-    unsure.mass = min(_largest(within.mass, within.yaw_inertia) - 1.0, MOST_MASS)
+    """Write the uncertainty of the car file; that of lag and dead time only where the belief has them from there."""
+    unsure.lag = _capped(within.steering_lag, MAX_DELAY) if belief.lag_source == CAR_FILE else 0.0
+    unsure.dead_time = _capped(within.steering_dead_time, MAX_DELAY) if belief.dead_time_source == CAR_FILE else 0.0
+    unsure.stiffness = min(_largest(within.stiffness_front, within.stiffness_rear), MAX_STIFFNESS)
+    unsure.mass = min(_largest(within.mass, within.yaw_inertia) - 1.0, MAX_MASS)
 
 
 @exported(float64(Row(Uncertainty)))
 def caution_of(unsure):
-    """The factor on R for what may be wrong."""
+    """Factor on R for an uncertainty."""
     delay = hypot(unsure.lag, unsure.dead_time) / TOLERATED_DELAY
     return min(1.0 + delay * delay, MOST_CAUTION) * unsure.stiffness * (1.0 + unsure.mass)
 
 
 @exported(float64(float64))
-def late_by(half):
-    """What is added to a delay (s) that may be wrong by `half` (s), all values being equally likely."""
+def delay_margin(half):
+    """Margin (s) that is added to a delay that is uniform within +- `half` (s)."""
     return (2.0 * QUANTILE - 1.0) * half
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..estimators import kalman
-from ..kernel import Row, exported, float64, inlined, int64, record, several, vector, void
+from ..kernel import Row, Setting, defaults, exported, float64, inlined, int64, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
 from .car import Car, wind_turn
@@ -13,57 +13,74 @@ from .tuning import World
 
 _LEAST = kalman.memory_size(0, 0)
 _EACH, _LATE = kalman.memory_size(1, 0) - _LEAST, kalman.memory_size(0, 1) - _LEAST
-NOISE = ("vy", "yaw", "yaw_rate", "y", "wheel_angle", "lateral_acceleration")
-"""The sensors, as the filter takes them in."""
-Noise = record("Noise", (*NOISE, "yaw_rate_offset"))
-"""m/s, rad, rad/s, m, rad, m/s^2, rad/s: standard deviations; inf: there is no such sensor. The last: of an error of
-the yaw rate that stays, 0: there is none."""
-Drifts = record(
-    "Drifts",
-    (
-        "vy", "yaw", "yaw_rate", "y", "wheel_angle",  # m/s, rad, rad/s, m, rad
-        "side", "turn", "wind",  # m/s^2, rad/s^2, m/s^2
-        "yaw_rate_offset",  # rad/s
-        "sliding", "sliding_time",  # s^0.5, s
-        "grip", "least_spare",  # m/s^2
-    ),
-)  # fmt: skip
-"""How fast what is estimated may change beside the model, see `adaptrack.control.kalman.Drifts`."""
-Filter = record(
-    "Filter",
-    (
-        ("noise", Noise), ("drifts", Drifts),
-        "bound",  # standard deviations up to which an innovation counts
-        "spread_side", "spread_turn",  # m/s^2, rad/s^2: of the disturbances before the first sample
-        "oldest",  # s, of a sample that is taken in
-        "patience", "settling",  # s
-        "distrust", "trust",  # mean of squared innovations over their variance
-        "window_taken_in", "window_left_out",  # s, over which that mean is taken
-        "friction", "shape_factor",  # of the tyres
-        "longest",  # s, dead time that the model may be given while driving
-    ),
-)  # fmt: skip
-"""A filter, see `adaptrack.control.kalman.KalmanFilter`."""
-
-USUAL_NOISE = Noise(0.05, 0.003, 0.01, 0.03, math.inf, math.inf, 0.0)
-USUAL_DRIFTS = Drifts(
-    vy=0.03, yaw=0.001, yaw_rate=0.015, y=0.01, wheel_angle=0.01, side=0.03, turn=0.05, wind=0.35,
-    yaw_rate_offset=0.0002, sliding=0.2, sliding_time=0.3, grip=7.0, least_spare=0.5,
-)  # fmt: skip
-USUAL = Filter(
-    noise=USUAL_NOISE, drifts=USUAL_DRIFTS, bound=5.0, spread_side=0.3, spread_turn=0.3, oldest=0.0, patience=3.0,
-    settling=10.0, distrust=10.0, trust=2.0, window_taken_in=0.5, window_left_out=5.0, friction=0.9, shape_factor=1.3,
-    longest=0.0,
-)  # fmt: skip
-"""What is taken where nobody says."""
-_USUAL = tuple(map(float, (*USUAL_NOISE, *USUAL_DRIFTS, *USUAL[2:])))
+OLDEST, LONGEST = 2.0, 5.0
+"""s, largest age of a sample that is taken in, and largest dead time that may be learned."""
+_NO_SENSOR = "inf: no such sensor"
+Noise = record("Noise", (
+    Setting("vy", "m/s", 0.05, "of the lateral velocity", "[0, inf]", _NO_SENSOR),
+    Setting("yaw", "rad", 0.003, "of the yaw angle", "[0, inf]", _NO_SENSOR),
+    Setting("yaw_rate", "rad/s", 0.01, "of the yaw rate", "[0, inf]", _NO_SENSOR),
+    Setting("y", "m", 0.03, "of the lateral position", "[0, inf)",
+            "without a measured lateral position there is no path tracking"),
+    Setting("wheel_angle", "rad", math.inf, "of the road wheels' angle", "[0, inf]", _NO_SENSOR),
+    Setting("lateral_acceleration", "m/s^2", math.inf, "of an accelerometer at the centre of gravity", "[0, inf]",
+            _NO_SENSOR),
+    Setting("yaw_rate_offset", "rad/s", 0.0, "of a constant error of the yaw rate; 0: none is estimated", "[0, inf]"),
+))  # fmt: skip
+"""Standard deviations of the sensors, as the filter takes them in; the defaults are those of the profile `road`."""
+Drifts = record("Drifts", (
+    Setting("vy", "m/s", 0.03, "of the lateral velocity", "[0, inf)"),
+    Setting("yaw", "rad", 0.001, "of the yaw angle", "[0, inf)"),
+    Setting("yaw_rate", "rad/s", 0.015, "of the yaw rate", "[0, inf)"),
+    Setting("y", "m", 0.01, "of the lateral position", "[0, inf)"),
+    Setting("wheel_angle", "rad", 0.01, "of the road wheels' angle", "[0, inf)"),
+    Setting("side", "m/s^2", 0.03, "of the lateral disturbance d_y: side wind, bank, a steering bias", "[0, inf)"),
+    Setting("turn", "rad/s^2", 0.05, "of the yaw disturbance d_r", "[0, inf)"),
+    Setting("wind", "m/s^2", 0.35, "of the part of d_y that side wind adds; it adds to d_r in proportion to the car's "
+            "body", "[0, inf)"),
+    Setting("yaw_rate_offset", "rad/s", 0.0002, "of the offset of the yaw-rate sensor", "[0, inf)"),
+    Setting("sliding", "s^0.5", 0.2, "of the impulse of an axle over F^2/F_z, with F its force in the model and F_z "
+            "its load. In the brush model sliding takes F^2/(3 mu F_z) away (Pacejka, Tire and Vehicle Dynamics, "
+            "3rd ed., section 3.2), and mu is unknown", "[0, inf)"),
+    Setting("sliding_time", "s", 0.3, "duration of such a deviation: it moves an accelerometer by "
+            "sliding F^2/F_z/(m sqrt(2 sliding_time))", "(0, inf)"),
+    Setting("grip", "m/s^2", 7.0, "largest pull of the tyres: disturbances are bounded by it, less the pull of the "
+            "model", "[0, inf)"),
+    Setting("least_spare", "m/s^2", 0.5, "smallest bound of the disturbances", "(0, inf)"),
+))  # fmt: skip
+"""How fast the estimates may change beyond the model: standard deviations of random walks after one second."""
+Filter = record("Filter", (
+    ("noise", Noise), ("drifts", Drifts),
+    Setting("bound", "", 5.0, "standard deviations up to which an innovation counts, so that no outlier moves the "
+            "estimate further", "(0, inf]", "inf: no bound"),
+    Setting("spread", "", (0.3, 0.3), "standard deviations of d_y (m/s^2) and d_r (rad/s^2) before the first sample",
+            "[0, inf)"),
+    Setting("oldest", "s", 0.0, "age up to which samples are taken in where they belong", f"[0, {OLDEST:g}]"),
+    Setting("patience", "s", 3.0, "for which the estimate continues without a measured position, before the "
+            "controller holds", "[0, inf]", "inf: for ever"),
+    Setting("settling", "s", 10.0, "over which the offsets of accelerometer and wheel-angle sensor are averaged",
+            "(0, inf]", "inf: no averaging"),
+    Setting("distrust", "", 10.0, "a sensor other than the pose is left out while the mean of its squared innovations "
+            "over their variance, 1 for a correct filter, exceeds this", "(0, inf]", "inf: no sensor is left out"),
+    Setting("trust", "", 2.0, "the sensor is taken in again below this mean", "(0, inf]"),
+    Setting("window", "s", (0.5, 5.0), "over which that mean is taken: of a sensor in use, of one that is left out",
+            "(0, inf)"),
+    Setting("friction", "", 0.9, "assumed friction of the tyres: in bends they pull less than linear ones",
+            "(0, inf)"),
+    Setting("shape_factor", "", 1.3, "C of the tyres' Magic Formula; passenger-car tyres have C near 1.3 (Pacejka, "
+            "Tire and Vehicle Dynamics, 3rd ed., section 4.3)", "(1, 2)"),
+    Setting("longest", "s", 0.0, "dead time that the model may be given while driving", f"[0, {LONGEST:g}]"),
+))  # fmt: skip
+"""A Kalman filter of a path model."""
+DEFAULT_DRIFTS = defaults(Drifts)
+_DEFAULTS = tuple(Filter.new(1, **defaults(Filter)._asdict()).view(float).tolist())
 
 
 @exported(void(vector))
 def usual_filter(numbers):
-    """Write `USUAL` to the numbers of a `Filter`."""
-    for i in range(len(_USUAL)):
-        numbers[i] = _USUAL[i]
+    """Write the default values to the numbers of a `Filter`."""
+    for i in range(len(_DEFAULTS)):
+        numbers[i] = _DEFAULTS[i]
 
 
 @exported(void(Row(World), Row(Noise)))
@@ -135,8 +152,8 @@ def filter_numbers(own, car, period, lag, dead_time, numbers):
     longest, late = filter_periods(own, period, dead_time)
     p.whole, p.longest, p.late = float(whole_periods), float(longest), float(late)
     p.bound, p.patience, p.distrust, p.trust = own.bound, own.patience / period, own.distrust, own.trust
-    p.forgetting = min(1.0, period / own.window_taken_in)
-    p.regaining = min(1.0, period / own.window_left_out)
+    p.forgetting = min(1.0, period / own.window[0])
+    p.regaining = min(1.0, period / own.window[1])
     p.settling = min(1.0, period / own.settling)
     sensor_variances(noise, p.variance)
     if not lag > 0.0:
@@ -151,7 +168,7 @@ def filter_numbers(own, car, period, lag, dead_time, numbers):
     p.sliding, p.sliding_time = square(drifts.sliding), drifts.sliding_time
     p.grip, p.least_spare = drifts.grip, drifts.least_spare
     p.friction, p.shape_factor = own.friction, own.shape_factor
-    p.spread_side, p.spread_turn = square(own.spread_side), square(own.spread_turn)
+    p.spread_side, p.spread_turn = square(own.spread[0]), square(own.spread[1])
     p.spread_offset = square(noise.yaw_rate_offset)
     c = p.model
     c.mass, c.yaw_inertia, c.lf, c.lr = car.mass, car.yaw_inertia, car.lf, car.lr

@@ -7,16 +7,31 @@ import math
 from ..controllers.feed_forward import Turning, turning_of
 from ..controllers.mpc import Settings
 from ..estimators import kalman, learning
-from ..kernel import Place, Row, exported, float64, inlined, int64, int_vector, record, rows, several, size_of, vector
+from ..estimators.learning_method import MAX_HYPOTHESES, LearningMethod
+from ..kernel import (
+    Place,
+    Row,
+    copier,
+    exported,
+    float64,
+    inlined,
+    int64,
+    int_vector,
+    record,
+    rows,
+    several,
+    size_of,
+    vector,
+)
 from ..maths.exponential import hypot
 from ..models import path
 from ..models.contract import MEASURED
 from .belief import (
     ASSUMED,
     LEARNED,
-    MOST_DELAY,
-    MOST_MASS,
-    MOST_STIFFNESS,
+    MAX_DELAY,
+    MAX_MASS,
+    MAX_STIFFNESS,
     TO_LEARN,
     Belief,
     Bounds,
@@ -24,20 +39,18 @@ from .belief import (
     believe_steering,
     bound_commands,
     caution_of,
+    delay_margin,
     is_cautious,
-    late_by,
     uncertainty_of_car,
     widen_drifts,
 )  # fmt: skip
 from .car import Car, KnownWithin, Steering
-from .filter import USUAL_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
+from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
 from .learner import (
     UNKNOWN_CAR,
     Learner,
-    Method,
     Start,
     begin_learner,
-    first_delay,
     learner_memory,
     learner_numbers,
     learner_size,
@@ -56,7 +69,7 @@ Order = record(
         "learning",  # `NEVER`, ...
         "filter_given",  # 1: the filter is the caller's, 0: it is made of `world`
         "longest_horizon", "most_moves",  # Np and Nc at most
-        ("method", Method), ("start", Start),
+        ("method", LearningMethod), ("start", Start),
     ),
     integers=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
 )  # fmt: skip
@@ -91,13 +104,12 @@ Constants = record(
 )
 """The numbers of an `Mpc`, in memory of the caller's."""
 
+_copy_uncertainty, _copy_model = copier(Uncertainty), copier(path.Parameters)
 _FILTER, _MODEL, _TURNING, _LEARNER = map(size_of, (kalman.Numbers, path.Parameters, Turning, learning.Numbers))
 MOST_TIME, LEAST = 10.0, 1e-300
 """s, of a lag, a dead time or an age; the least that is more than nothing."""
 FINE, CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(7)
 """What `informed_parts` and `informed_constants` answer."""
-MOST_HYPOTHESES = 12
-"""Of lag and of dead time, each."""
 UNEXPLAINED = (1.0, 0.6)
 """m/s^2, rad/s^2: what wheels that nobody has aligned push and turn a car before their bias is learned. With the
 filter's own spread, .3 and .3, the first minute of 40 unknown cars costs 1.28 instead of 1.26 in `road`."""
@@ -106,13 +118,13 @@ LARGEST_CORRECTION = 0.25
 
 
 @inlined
-def _know(order, parts):
-    """Of a controller that does not learn: what it believes is as late as it may be."""
+def _set_fixed_belief(order, parts):
+    """Make the parts of a controller that does not learn: it assumes a high quantile of the delay."""
     belief, unsure, world = parts.belief, parts.unsure, order.world
     if order.unsure_given == 0:
         uncertainty_of_car(order.within, belief, unsure)
-    belief.lag += late_by(unsure.lag)
-    belief.dead_time += late_by(unsure.dead_time)
+    belief.lag += delay_margin(unsure.lag)
+    belief.dead_time += delay_margin(unsure.dead_time)
     tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, parts.tuning)
     if is_cautious(belief):
         parts.tuning[3] *= CAUTION
@@ -123,7 +135,7 @@ def _know(order, parts):
 
 
 @inlined
-def _doubt(parts):
+def _widen_unknown_delay(parts):
     """Widen the uncertainty of an unknown lag or dead time that is declared certain."""
     belief, unsure = parts.belief, parts.unsure
     if belief.lag_source == ASSUMED and unsure.lag == 0.0:
@@ -133,35 +145,34 @@ def _doubt(parts):
 
 
 @inlined
-def _begin(source, lag_or_dead_time_is_learned):
-    """Who says a delay with which a controller that learns begins."""
-    if lag_or_dead_time_is_learned:
+def _source_at_start(source, learned_before):
+    """The source of a delay with which a controller that learns begins."""
+    if learned_before:
         return LEARNED
     return TO_LEARN if source == ASSUMED else source
 
 
 @inlined
-def _learn(order, parts):
-    """Of a controller that learns its car."""
-    belief, own, sensing, world = parts.belief, parts.learner, parts.filter, order.world
-    _doubt(parts)
+def _set_learner(order, parts):
+    """Make the parts of a controller that learns its car."""
+    belief, learner, sensing, world = parts.belief, parts.learner, parts.filter, order.world
+    _widen_unknown_delay(parts)
     begin_learner(
         order.method, order.start, order.car, order.within, belief, parts.unsure, order.unsure_given, sensing,
-        world.period, own,
+        world.period, learner,
     )  # fmt: skip
-    lag, dead_time, sigma = first_delay(own, order.method, order.start)
+    lag, dead_time = learner.first.used_lag, learner.first.used_dead_time
     if order.filter_given == 0:
-        sensing.spread_side, sensing.spread_turn = UNEXPLAINED
-    # rad/s, as the kernel has it
-    elsewhere = order.method.wandering * sigma / order.method.modest
-    sensing.drifts.wheel_angle = hypot(USUAL_DRIFTS.wheel_angle, elsewhere)
-    sensing.longest = own.longest
+        sensing.spread[0], sensing.spread[1] = UNEXPLAINED
+    wheel_drift = order.method.wheel_drift_rate * learner.first.belief_delay_sigma / order.method.sigma_inflation
+    sensing.drifts.wheel_angle = hypot(DEFAULT_DRIFTS.wheel_angle, wheel_drift)
+    sensing.longest = learner.longest
     tune_informed(world, 1.0, order.longest_horizon, order.most_moves, parts.tuning)
     bound_commands(belief, world.period, parts.bounds)
-    known_before = not math.isnan(order.start.lag)
+    learned_before = not math.isnan(order.start.lag)
     belief.lag, belief.dead_time = lag, dead_time
-    belief.lag_source = _begin(belief.lag_source, known_before)
-    belief.dead_time_source = _begin(belief.dead_time_source, known_before)
+    belief.lag_source = _source_at_start(belief.lag_source, learned_before)
+    belief.dead_time_source = _source_at_start(belief.dead_time_source, learned_before)
     parts.lag, parts.dead_time = lag, dead_time + belief.computation
 
 
@@ -184,22 +195,22 @@ def is_a_car(car):
 
 
 @inlined
-def _said_within(x, least, most):
-    """Whether a number lies within a range, if it is said."""
+def _within_if_known(x, least, most):
+    """Whether a number is unknown (NaN) or lies within a range."""
     return math.isnan(x) or least <= x <= most
 
 
 @inlined
-def _can_be(steering):
-    """Whether a steering is one of a car; of rate and limit zero is none."""
-    delays = _said_within(steering.lag, 0.0, MOST_TIME) and _said_within(steering.dead_time, 0.0, MOST_TIME)
-    moves = _said_within(steering.rate, LEAST, math.inf) and _said_within(steering.limit, LEAST, 0.5 * math.pi)
+def _is_steering(steering):
+    """Whether a steering is possible; rate and limit must be positive."""
+    delays = _within_if_known(steering.lag, 0.0, MOST_TIME) and _within_if_known(steering.dead_time, 0.0, MOST_TIME)
+    moves = _within_if_known(steering.rate, LEAST, math.inf) and _within_if_known(steering.limit, LEAST, 0.5 * math.pi)
     return delays and moves
 
 
 @inlined
-def _wrong(order):
-    """`FINE`, or what of an order no controller can be made of."""
+def _order_status(order):
+    """`FINE`, or the part of an order that makes no controller."""
     car, world, unsure, method = order.car, order.world, order.unsure, order.method
     windy = _finite(car.frontal_area) and _finite(car.side_force_slope) and abs(car.yaw_moment_slope) < math.inf
     if not (is_a_car(car) and windy):
@@ -210,14 +221,14 @@ def _wrong(order):
     off = _finite(world.bias_yaw_rate) and _finite(world.bias_wheel_angle)
     if not (times and sensed and off and _finite(world.move_weight)):
         return LOOP_WRONG
-    if not (_can_be(order.given) and _can_be(order.file) and _can_be(order.actuator)):
+    if not (_is_steering(order.given) and _is_steering(order.file) and _is_steering(order.actuator)):
         return STEERING_WRONG
     if order.unsure_given > 0 and not (
-        0.0 <= unsure.lag <= MOST_DELAY and 0.0 <= unsure.dead_time <= MOST_DELAY
-        and 1.0 <= unsure.stiffness <= MOST_STIFFNESS and 0.0 <= unsure.mass <= MOST_MASS
+        0.0 <= unsure.lag <= MAX_DELAY and 0.0 <= unsure.dead_time <= MAX_DELAY
+        and 1.0 <= unsure.stiffness <= MAX_STIFFNESS and 0.0 <= unsure.mass <= MAX_MASS
     ):  # fmt: skip
         return UNCERTAINTY_WRONG
-    if not (1.0 <= method.lags <= MOST_HYPOTHESES and 1.0 <= method.dead_times <= MOST_HYPOTHESES):
+    if not (1.0 <= method.lags <= MAX_HYPOTHESES and 1.0 <= method.dead_times <= MAX_HYPOTHESES):
         return METHOD_WRONG
     return FINE
 
@@ -228,21 +239,20 @@ def informed_parts(order, parts):
 
     Answers `FINE`, or what of the order is wrong: then nothing is written.
     """
-    wrong = _wrong(order)
-    if wrong != FINE:
-        return wrong
-    parts.unsure.lag, parts.unsure.dead_time = order.unsure.lag, order.unsure.dead_time
-    parts.unsure.stiffness, parts.unsure.mass = order.unsure.stiffness, order.unsure.mass
+    status = _order_status(order)
+    if status != FINE:
+        return status
+    _copy_uncertainty(order.unsure, parts.unsure)
     believe_steering(order.given, order.file, order.actuator, order.world.computation, parts.belief)
     if order.filter_given == 0:
         sensor_noise(order.world, parts.filter.noise)
         parts.filter.oldest = order.world.oldest
-    unsaid = parts.belief.lag_source == ASSUMED or parts.belief.dead_time_source == ASSUMED
-    parts.learns = 1 if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unsaid) else 0
+    unknown = parts.belief.lag_source == ASSUMED or parts.belief.dead_time_source == ASSUMED
+    parts.learns = 1 if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unknown) else 0
     if parts.learns > 0:
-        _learn(order, parts)
+        _set_learner(order, parts)
     else:
-        _know(order, parts)
+        _set_fixed_belief(order, parts)
     return FINE
 
 
@@ -290,13 +300,11 @@ def informed_constants(order, parts, constants):
         constants.tuning[i] = parts.tuning[i]
     if parts.learns > 0:
         filter_numbers(filtering, parts.learner.car, period, lag, dead_time, constants.estimator)
-        learner_numbers(parts.learner, order.method, filtering, constants.learner)
-        learner_memory(parts.learner, order.method, order.start, filtering, constants.fresh)
+        learner_numbers(parts.learner, filtering, constants.learner)
+        learner_memory(parts.learner, filtering, constants.fresh)
     else:
         filter_numbers(filtering, order.car, period, lag, dead_time, constants.estimator)
-    c, m = kalman.parameters_of(constants.estimator, 0).model, path.parameters_of(constants.model, 0)
-    m.mass, m.yaw_inertia, m.lf, m.lr = c.mass, c.yaw_inertia, c.lf, c.lr
-    m.stiffness_front, m.stiffness_rear, m.lag = c.stiffness_front, c.stiffness_rear, c.lag
+    _copy_model(kalman.parameters_of(constants.estimator, 0).model, path.parameters_of(constants.model, 0))
     path.write_turning(constants.model, constants.turning)
     t = turning_of(constants.turning, 0)
     t.friction, t.shape_factor = filtering.friction, filtering.shape_factor
