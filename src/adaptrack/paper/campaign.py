@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 
 from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
-from adaptrack.base.cluster import dask_client
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, StorageError
 from adaptrack.base.files import Damaged
 from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.core.library import kernels_hash
 from adaptrack.paper.campaign_config import STANDARD, CampaignConfig, Plan, Setup
+from adaptrack.paper.cluster import dask_client
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.evaluator import campaign_objective
 from adaptrack.tuning.objective import Objective, Tuned
