@@ -78,14 +78,10 @@ class DriveRecord:
     """m/s, forward"""
     offset: Array
     """m, e: from the centre line to the centre of mass"""
-    heading_error: Array
-    """rad, yaw minus the road's heading"""
     steering: Array
     """rad, angle of the front wheels"""
     command: Array
     """rad, angle that the controller asks for"""
-    lateral_acceleration: Array
-    """m/s²"""
     planned_speed: Array
     """m/s"""
     failed: str = ""
@@ -122,9 +118,8 @@ class DriveRecord:
         """
         run = on_road(run, road)
         signals = {
-            "time": run.t, "x": run.X, "y": run.Y, "yaw": run.psi, "speed": run.vx, "steering": run.steering,
-            "command": run.command, **{name: run.road[name] for name in ("station", "offset", "heading_error")},
-            "lateral_acceleration": run.lateral_acceleration, "planned_speed": run.v_ref,
+            "time": run.t, "station": run.road["station"], "x": run.X, "y": run.Y, "yaw": run.psi, "speed": run.vx,
+            "offset": run.road["offset"], "steering": run.steering, "command": run.command, "planned_speed": run.v_ref,
         }  # fmt: skip
         whole = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
         end = int(whole.argmin()) if not whole.all() else len(run)
