@@ -34,8 +34,8 @@ JUDGED, TUNING = 77_000_000, 78_000_000
 """First seeds."""
 DT, PERIOD = 0.01, 0.05
 """s, of the car and of the loop."""
-WRONG, HONEST = 40.0, 120.0
-"""s, length of a drive."""
+WRONG, HONEST, STANDS = 40.0, 120.0, 15.0
+"""s, length of a drive, and of a stop: braking, standing, some of both."""
 CARS = ("paper", "midsize-sedan", "compact-ev", "small-car", "sports-car", "van")
 KINDS = ("country", "mountain", "town", "lap")
 NAN = math.nan
@@ -121,6 +121,36 @@ DEGREES = 180.0 / math.pi
 
 
 @dataclass(frozen=True)
+class Lie:
+    """A pose that goes wrong: from an instant (s) on it drifts by so much a second, or has jumped."""
+
+    begins: float
+    yaw_rate: float = 0.0  # rad/s
+    y_rate: float = 0.0  # m/s
+    jump: tuple[float, float] = (0.0, 0.0)  # m, of x and y
+
+    @staticmethod
+    def drawn(name: str, rng: np.random.Generator) -> Lie:
+        begins, side = float(rng.uniform(5.0, 20.0)), float(rng.choice([-1.0, 1.0]))
+        if name == "yaw drifts":
+            return Lie(begins, yaw_rate=side * math.radians(float(rng.uniform(1.0, 10.0))))
+        if name == "y drifts":
+            return Lie(begins, y_rate=side * float(rng.uniform(0.5, 2.0)))
+        size, angle = float(rng.uniform(1.5, 10.0)), float(rng.uniform(0.0, math.tau))
+        return Lie(begins, jump=(size * math.cos(angle), size * math.sin(angle)))
+
+    def told(self, s: Sample) -> Sample:
+        since = s.t - self.begins
+        if since < 0.0:
+            return s
+        return _with(
+            x=lambda s: s.x + self.jump[0],
+            y=lambda s: s.y + self.jump[1] + self.y_rate * since,
+            yaw=lambda s: math.remainder(s.yaw + self.yaw_rate * since, math.tau),
+        )(s)
+
+
+@dataclass(frozen=True)
 class Fault:
     """A wrong input: what is made of the samples, and of the command."""
 
@@ -130,6 +160,8 @@ class Fault:
     clock: float = 1.0  # factor on all times
     late: tuple[str, ...] = ()  # what comes from a clock 0.2 s off
     named: tuple[str, ...] = ()  # words one of which must be in the sentence
+    slow: bool = False  # driven at 2 to 10 m/s
+    lie: str = ""  # what of the pose drifts or jumps from an instant on
 
 
 _mirrored = _with(
@@ -154,6 +186,9 @@ FAULTS = {
     "gyro's clock": Fault(late=("yaw_rate",), named=("late",)),
     "pose's clock": Fault(late=("x", "y", "yaw"), named=("late",)),
     "speed's clock": Fault(late=("speed",), named=("late",)),
+    **{f"command times {factor:.3g}": Fault(command=factor, named=("command",), slow=True)
+       for factor in (DEGREES, 16.0, 4.0, 0.25, 1.0 / 16.0, 1.0 / DEGREES)},
+    **{name: Fault(lie=name, named=("pose", "x, y", "yaw")) for name in ("yaw drifts", "y drifts", "pose jumps")},
 }
 KEEPS = frozenset({"rear axle", "front axle", "gyro's clock", "pose's clock", "speed's clock", "lateral signs",
                    "yaw rate's sign"})  # fmt: skip
@@ -207,7 +242,11 @@ def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide:
     length = 1500.0 if seconds <= WRONG else 4000.0
     road = at.generate_road(kind, int(rng.integers(1_000_000)), length=1500.0 if kind == "lap" else length)
     lateral = float(rng.uniform(1.5, 3.5)) * min(1.0, body.friction / 0.8)
-    plan = at.plan_speed(road, vehicle, Comfort(lateral=lateral, accelerate=1.5, brake=2.0), top_speed=30.0)
+    everyday = fault is None and not slide
+    slow = fault.slow if fault is not None else everyday and seed % 3 == 0
+    top = float(rng.uniform(2.0, 10.0)) if slow else 30.0
+    stops = float(rng.uniform(10.0, 60.0)) if everyday and seed % 4 == 1 else math.inf
+    plan = at.plan_speed(road, vehicle, Comfort(lateral=lateral, accelerate=1.5, brake=2.0), top_speed=top)
     tracker = at.Tracker(mpc, road, plan=plan if rng.random() < 0.5 else None)
     s = float(rng.uniform(5.0, 200.0))
     place = road.at(s)
@@ -235,7 +274,7 @@ def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide:
                 break
             if (not road.closed and near > road.length - 20.0) or math.isnan(foot.offset):
                 break
-            _set_speed(body, plan, near)
+            _set_speed(body, 0.0 if stops <= t < stops + STANDS else float(plan.at(near)))
             if slide:
                 slipping = t >= slides and abs(body.yaw_rate * body.speed) > 1.0
                 turned = turned or (t if slipping else 0.0)
@@ -271,10 +310,9 @@ def step(tracker: at.Tracker, row: tuple[float, ...]) -> at.control.tracker.Trac
                         wheel_angle=wheel, now=now)  # fmt: skip
 
 
-def _set_speed(body: Body, plan: at.SpeedPlan, s: float) -> None:
-    """Follow the plan by at most 3 m/s^2."""
-    wanted = float(plan.at(s)) - body.speed
-    body.speed += max(min(wanted, 3.0 * PERIOD), -3.0 * PERIOD)
+def _set_speed(body: Body, speed: float) -> None:
+    """Approach a speed (m/s) by at most 3 m/s^2."""
+    body.speed += max(min(speed - body.speed, 3.0 * PERIOD), -3.0 * PERIOD)
 
 
 class _Sensors:
@@ -287,6 +325,7 @@ class _Sensors:
         self.mounting = float(rng.uniform(-0.01, 0.01))  # rad, of the yaw
         self.kept: list[Sample] = []
         self.gap, self.next_gap = -1.0, float(rng.exponential(10.0))
+        self.lie = Lie.drawn(fault.lie, rng) if fault.lie else None
 
     def _sense(self, t: float) -> Sample:
         p, rng, b = self.profile, self.rng, self.body
@@ -314,7 +353,7 @@ class _Sensors:
         del self.kept[:-20]
         if not there:
             return None
-        given = there[-1]
+        given = there[-1] if self.lie is None else self.lie.told(there[-1])
         if self.fault.late:
             older = [each for each in self.kept if each.t <= given.t - 0.2 + 1e-9] or self.kept[:1]
             given = Sample(**{**given.__dict__, **{name: getattr(older[-1], name) for name in self.fault.late}})
