@@ -203,6 +203,7 @@ class Driven:
     said: list[tuple[float, float, str]]  # t, distance, sentence
     statuses: list[tuple[float, str]]
     about: str = ""
+    begins: float = 0.0  # s, of a lie
 
     @property
     def farthest(self) -> float:
@@ -257,6 +258,7 @@ def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide:
     about = f"{source} {vehicle.name}, {kind}, mu {body.friction:.2f}, {profile.name}"
     driven = Driven([], [], [], about)
     sensors = _Sensors(rng, profile, body, fault or Fault())
+    driven.begins = sensors.lie.begins if sensors.lie else 0.0
     engaged = body.angle if rng.random() < 0.5 else None
     late = profile.name == "road" and rng.random() < 0.3
     lost = int(rng.choice([0, 0, 7]))
@@ -368,19 +370,40 @@ class _Sensors:
 # -- the three campaigns ----------------------------------------------------------------------------------------------
 def wrong(seeds: range, faults: list[str]) -> None:
     """Print when each fault was said."""
-    print("| wrong input | said | before 1 m, or never 1 m off | before 3 m | named rightly | median (90 %), s |")
+    print("| wrong input | said | before 1 m, or never 1 m off | before 1 m or within 3 s | before 3 m | named rightly | median (90 %), s |")
     for name in faults:
         fault, rows = FAULTS[name], [drive(seed, FAULTS[name], WRONG) for seed in seeds]
         said = [each.said[0] if each.said else None for each in rows]
         count = len(rows)
+        soon = sum((s[1] < 1.0 or s[0] < 3.0) if s else each.farthest < 1.0 for s, each in zip(said, rows, strict=True))
         early = sum((s[1] < 1.0) if s else each.farthest < 1.0 for s, each in zip(said, rows, strict=True))
         in_time = sum((s[1] < 3.0) if s else each.farthest < 3.0 for s, each in zip(said, rows, strict=True))
         right = sum(any(word in s[2] for word in fault.named) for s in said if s)
         times = [s[0] for s in said if s] or [NAN]
         print(
-            f"| {name} | {len(times) if any(said) else 0} of {count} | {early} | {in_time} | {right} | "
+            f"| {name} | {len(times) if any(said) else 0} of {count} | {early} | {soon} | {in_time} | {right} | "
             f"{np.median(times):.2f} ({np.quantile(times, 0.9):.2f}) |", flush=True,
         )  # fmt: skip
+
+
+def lies(seeds: range) -> None:
+    """Print how many poses that drift or jump took the car 1.5 m from its path, and how many of them without a word."""
+    print("| the pose | lost | lost silently | median (90 %), s after it began |")
+    for name in ("yaw drifts", "y drifts", "pose jumps"):
+        lost = silent = 0
+        times = []
+        for seed in seeds:
+            result = drive(seed, FAULTS[name], WRONG)
+            told = min([t for t, *_ in result.said] + [t for t, status in result.statuses if status == "sliding"],
+                       default=math.inf)  # fmt: skip
+            far = [t for (t, _), row in zip(result.statuses, result.rows, strict=True) if abs(row[-2]) > 1.5]
+            if far and far[0] < result.begins:
+                continue  # without the lie
+            times.append(told - result.begins)
+            lost += bool(far)
+            silent += bool(far) and told > far[0]
+        print(f"| {name} | {lost} of {len(times)} | {silent} | {np.median(times):.2f} ({np.quantile(times, 0.9):.2f}) |",
+              flush=True)  # fmt: skip
 
 
 def honest(seeds: range) -> None:
@@ -425,7 +448,7 @@ def sliding(seeds: range) -> None:
 def main() -> None:
     """Run a campaign."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("campaign", choices=("wrong", "honest", "sliding"))
+    parser.add_argument("campaign", choices=("wrong", "lies", "honest", "sliding"))
     parser.add_argument("--drives", type=int, default=10)
     parser.add_argument("--faults", default=",".join(FAULTS))
     parser.add_argument("--tuning", action="store_true", help="seeds on which the checks were chosen")
@@ -437,7 +460,7 @@ def main() -> None:
     if given.campaign == "wrong":
         wrong(seeds, [name for name in given.faults.split(",") if name])
     else:
-        {"honest": honest, "sliding": sliding}[given.campaign](seeds)
+        {"lies": lies, "honest": honest, "sliding": sliding}[given.campaign](seeds)
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ TURNINGS = (
     (0.008, 0.035, "{steered} in degrees: --units {steered}=deg"),
     (0.035, 0.13, "{steered} is the angle of the steering wheel: --steering-ratio {ratio:.0f}, or --steering-ratio "
      "fit"),
-    (0.2, 0.35, _KM_H), (0.35, 3.5, ""), (25.0, 130.0, _DEGREES_PER_SECOND),
+    (0.15, 0.35, _KM_H), (0.35, 3.5, ""), (25.0, 130.0, _DEGREES_PER_SECOND),
     (0.0, 0.5, "check the units (--units) and the wheelbase, or give --steering-ratio {ratio:.0f}."),
     (0.0, math.inf, "check the units (--units) and the wheelbase, or give the steering ratio."),
 )  # fmt: skip
@@ -138,12 +138,12 @@ def compare_positions(values: Mapping[str, Array]) -> Agreement:
 def compare_signals(log: Log, wheelbase: float) -> list[Agreement]:
     """Compare speed, steering, yaw rate, yaw and lateral acceleration of a log."""
     turning, felt = _turning(log, wheelbase), _felt(log)
+    turned = _explain_fastest(log) or _explain_turning(log, turning, wheelbase)
     return [
-        _compare_fastest(log),
         Agreement("lateral acceleration and yaw rate, whole log", felt.clear, _explain_felt(felt, turning)),
         Agreement("yaw and yaw rate, whole log", *_compare_yaw(log)),
         Agreement("clocks of steering and yaw rate", turning.clear, _explain_lead(log, wheelbase)),
-        Agreement("steering and yaw rate, whole log", turning.clear, _explain_turning(log, turning, wheelbase)),
+        Agreement("steering and yaw rate, whole log", turning.clear, turned),
     ]
 
 
@@ -157,10 +157,10 @@ def _meaning(factor: float, table: tuple[tuple[float, float, str], ...]) -> str:
     return next(meaning for low, high, meaning in table if low <= factor <= high)
 
 
-def _compare_fastest(log: Log) -> Agreement:
+def _explain_fastest(log: Log) -> str:
+    """A contradiction of the speed and what cars drive."""
     fastest = float(np.percentile(log.speed, 99))
-    sentence = f"a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h." if fastest > FASTEST else ""
-    return Agreement("speed", False, sentence)
+    return f"a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h." if fastest > FASTEST else ""
 
 
 def _explain_felt(felt: _Slope, turning: _Slope) -> str:

@@ -23,17 +23,16 @@ CHANGE = 1e-3
 """Growth of their variances, a second, relative to those at the beginning."""
 TIMES = (1.5, 6.0)
 """s, time constants of the windows."""
-POSITION, YAW = 0.35, 0.012
+POSITION, YAW = 0.25, 0.012
 """m, rad: drifts that are honest at any speed."""
-ALONG, PULL, STEEPEST = 0.002, 0.007, 10.0
-"""Honest drift relative to the way: on the straight, more by the square of the lateral acceleration (m/s^2), and the
-largest such square."""
+ALONG, SWING, HARD_SWING = 0.003, 0.01, 0.004
+"""Honest drift relative to the way: always, and by what the lateral acceleration (m/s^2) differs from its mean over
+`SWINGS` (s), and its square: the slip of a car that swings is not that of a steady turn."""
+SWINGS = 1.0
 MEASURED = 0.4
-"""Share of all this where the lateral velocity is measured."""
+"""Share of it where the lateral velocity is measured."""
 TURNING, WANDERING = 0.03, 0.002
 """Honest drift of the yaw: relative to its change, and in rad/s."""
-TRUST = 0.2
-"""Share of the present uncertainty of `ERRORS` that counts as an honest drift of the position."""
 READY, LOOKS = 30, 2
 """Looks without a drift before one can be told; looks in a row at which it must be there."""
 _along, _across, _turn, _gains = (local(len(ERRORS)) for _ in range(4))
@@ -131,8 +130,11 @@ def compare_pose(memory, settings):
     time = moved[MOVED.time]
     if math.isfinite(memory.placed[0]) and time > 0.5 * TICK and moved[MOVED.way] > CRAWLING * time:
         _let_errors_change(memory, settings, 1.0 if memory.covariance[0, 0] == 0.0 else CHANGE * time)
-        _sum_drifts(last, memory, settings)
-        _judge_drifts(memory)
+        if memory.sliding == 0:
+            _sum_drifts(last, memory, settings)
+            _judge_drifts(memory)
+        else:
+            _forget_drifts(memory)
     begin_pose(memory)
     memory.placed[0], memory.placed[1], memory.placed[2] = last[T.x], last[T.y], last[T.yaw]
 
@@ -146,12 +148,14 @@ def _sum_drifts(last, memory, settings):
     ahead, left = cos(memory.placed[2] + 0.5 * turned), sin(memory.placed[2] + 0.5 * turned)
     rolled = memory.moved[MOVED.turned]
     rate = (rolled if math.isfinite(rolled) else turned) / time
-    along, unsure_along = _explain_along(memory, way, east * ahead + north * left)
+    along, _ = _explain_along(memory, way, east * ahead + north * left)
     across, unsure_across = _explain_across(memory, settings, time, way, rate, north * ahead - east * left)
     swung, unsure_turn = _explain_turn(memory, time, turned)
-    pull = rate * way / time
-    honest = (ALONG + PULL * min(pull * pull, STEEPEST)) * way * (MEASURED if _has_vy(memory) else 1.0)
-    honest += TRUST * (unsure_along + unsure_across)
+    swing = rate * way / time - memory.pull
+    memory.pull += swing * min(time / SWINGS, 1.0)
+    honest = (ALONG + SWING * abs(swing) + HARD_SWING * swing * swing) * way + unsure_across
+    if math.isfinite(memory.moved[MOVED.sideways]):
+        honest *= MEASURED
     for i in range(len(TIMES)):
         share = exp(-time / TIMES[i])
         drifts, honest_drifts = memory.drifts[i], memory.honest_drifts[i]
@@ -163,24 +167,25 @@ def _sum_drifts(last, memory, settings):
 
 
 @inlined
-def _has_vy(memory):
-    return math.isfinite(memory.moved[MOVED.sideways])
+def _forget_drifts(memory):
+    for i in range(len(TIMES)):
+        for j in range(3):
+            memory.drifts[i, j] = 0.0
 
 
 @inlined
 def _judge_drifts(memory):
     """Report a drift that is more than an honest one."""
     distance = angle = worst = worst_angle = 0.0
-    least = POSITION * (MEASURED if _has_vy(memory) else 1.0)
     for i in range(len(TIMES)):
         far, turned = hypot(memory.drifts[i, 0], memory.drifts[i, 1]), abs(memory.drifts[i, 2])
         distance, angle = max(distance, far), max(angle, turned)
-        worst = max(worst, far / (least + memory.honest_drifts[i, 0]))
+        worst = max(worst, far / (POSITION + memory.honest_drifts[i, 0]))
         worst_angle = max(worst_angle, turned / (YAW + memory.honest_drifts[i, 1]))
-    drifts = max(worst, worst_angle) > 1.0
+    drifts = max(worst, worst_angle) > 1.0 and memory.slips == 0  # a car that begins to slide moves sideways, too
     memory.drifting = memory.drifting + 1 if drifts else 0
     memory.steady += 0 if drifts else 1
-    if memory.drifting < LOOKS or memory.steady < READY or memory.sliding > 0 or _has_other_mistake(memory):
+    if memory.drifting < LOOKS or memory.steady < READY or _has_other_mistake(memory):
         return
     if worst_angle > 1.0:
         report(memory, SUBJECTS.pose, MISTAKES.yaw_drifts, angle, 0.0, 0.0)

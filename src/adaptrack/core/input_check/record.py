@@ -123,6 +123,7 @@ Memory = record("Memory", (
     ("placed", (float64, 3)), ("moved", (float64, len(MOVED))),  # last pose; motion since then
     ("errors", (float64, len(ERRORS))), ("covariance", (float64, len(ERRORS), len(ERRORS))),
     ("drifts", (float64, 2, 3)), ("honest_drifts", (float64, 2, 2)),  # m, m, rad; m, rad: in a short and a long time
+    "pull",  # m/s^2, mean lateral acceleration
     ("steady", int64), ("drifting", int64),  # looks at which the pose did not drift; in a row at which it did
 ))  # fmt: skip
 """All that a check remembers."""
