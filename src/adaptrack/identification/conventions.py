@@ -44,7 +44,7 @@ LATE = 0.08
 adds parts it from v r by up to 0.3 s."""
 MENDED = 0.5
 """Share of what is unexplained that a shift of clocks must leave at most."""
-FASTEST, FASTEST_TURN = 75.0, 3.0
+FASTEST_CAR, FASTEST_TURN = 75.0, 3.0
 """m/s, rad/s: no car drives or turns so fast for long."""
 
 _KM_H, _MPH = "a speed in km/h: --units speed=km/h", "a speed in mph: --units speed=mph"
@@ -160,7 +160,7 @@ def _meaning(factor: float, table: tuple[tuple[float, float, str], ...]) -> str:
 def _explain_fastest(log: Log) -> str:
     """A contradiction of the speed and what cars drive."""
     fastest = float(np.percentile(log.speed, 99))
-    return f"a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h." if fastest > FASTEST else ""
+    return f"a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h." if fastest > FASTEST_CAR else ""
 
 
 def _explain_felt(felt: _Slope, turning: _Slope) -> str:

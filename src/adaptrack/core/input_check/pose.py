@@ -19,21 +19,21 @@ from .record import CRAWLING, ERRORS, MISTAKES, MOVED, SUBJECTS, TICK, TICKS, T,
 
 SPREADS = (0.03, 0.015, 0.7, 0.3, 0.004, 0.1, 0.1)
 """Standard deviations of `ERRORS` at the beginning; that of the slip relative to the slip of the car file."""
-CHANGE = 1e-3
+ERROR_GROWTH = 1e-3
 """Growth of their variances, a second, relative to those at the beginning."""
-TIMES = (1.5, 6.0)
+DRIFT_TIMES = (1.5, 6.0)
 """s, time constants of the windows."""
-POSITION, YAW = 0.25, 0.012
+POSITION_DRIFT, YAW_DRIFT = 0.25, 0.012
 """m, rad: drifts that are honest at any speed."""
 ALONG, SWING, HARD_SWING = 0.003, 0.01, 0.004
 """Honest drift relative to the way: always, and by what the lateral acceleration (m/s^2) differs from its mean over
 `SWINGS` (s), and its square: the slip of a car that swings is not that of a steady turn."""
 SWINGS = 1.0
-MEASURED = 0.4
+MEASURED_SHARE = 0.4
 """Share of it where the lateral velocity is measured."""
 TURNING, WANDERING = 0.03, 0.002
 """Honest drift of the yaw: relative to its change, and in rad/s."""
-READY, LOOKS = 30, 2
+READY, DRIFTING_LOOKS = 30, 2
 """Looks without a drift before one can be told; looks in a row at which it must be there."""
 _along, _across, _turn, _gains = (local(len(ERRORS)) for _ in range(4))
 
@@ -129,7 +129,7 @@ def compare_pose(memory, settings):
         return
     time = moved[MOVED.time]
     if math.isfinite(memory.placed[0]) and time > 0.5 * TICK and moved[MOVED.way] > CRAWLING * time:
-        _let_errors_change(memory, settings, 1.0 if memory.covariance[0, 0] == 0.0 else CHANGE * time)
+        _let_errors_change(memory, settings, 1.0 if memory.covariance[0, 0] == 0.0 else ERROR_GROWTH * time)
         if memory.sliding == 0:
             _sum_drifts(last, memory, settings)
             _judge_drifts(memory)
@@ -155,9 +155,9 @@ def _sum_drifts(last, memory, settings):
     memory.pull += swing * min(time / SWINGS, 1.0)
     honest = (ALONG + SWING * abs(swing) + HARD_SWING * swing * swing) * way + unsure_across
     if math.isfinite(memory.moved[MOVED.sideways]):
-        honest *= MEASURED
-    for i in range(len(TIMES)):
-        share = exp(-time / TIMES[i])
+        honest *= MEASURED_SHARE
+    for i in range(len(DRIFT_TIMES)):
+        share = exp(-time / DRIFT_TIMES[i])
         drifts, honest_drifts = memory.drifts[i], memory.honest_drifts[i]
         drifts[0] = drifts[0] * share + along * ahead - across * left
         drifts[1] = drifts[1] * share + along * left + across * ahead
@@ -168,7 +168,7 @@ def _sum_drifts(last, memory, settings):
 
 @inlined
 def _forget_drifts(memory):
-    for i in range(len(TIMES)):
+    for i in range(len(DRIFT_TIMES)):
         for j in range(3):
             memory.drifts[i, j] = 0.0
 
@@ -177,15 +177,15 @@ def _forget_drifts(memory):
 def _judge_drifts(memory):
     """Report a drift that is more than an honest one."""
     distance = angle = worst = worst_angle = 0.0
-    for i in range(len(TIMES)):
+    for i in range(len(DRIFT_TIMES)):
         far, turned = hypot(memory.drifts[i, 0], memory.drifts[i, 1]), abs(memory.drifts[i, 2])
         distance, angle = max(distance, far), max(angle, turned)
-        worst = max(worst, far / (POSITION + memory.honest_drifts[i, 0]))
-        worst_angle = max(worst_angle, turned / (YAW + memory.honest_drifts[i, 1]))
+        worst = max(worst, far / (POSITION_DRIFT + memory.honest_drifts[i, 0]))
+        worst_angle = max(worst_angle, turned / (YAW_DRIFT + memory.honest_drifts[i, 1]))
     drifts = max(worst, worst_angle) > 1.0 and memory.slips == 0  # a car that begins to slide moves sideways, too
     memory.drifting = memory.drifting + 1 if drifts else 0
     memory.steady += 0 if drifts else 1
-    if memory.drifting < LOOKS or memory.steady < READY or _has_other_mistake(memory):
+    if memory.drifting < DRIFTING_LOOKS or memory.steady < READY or _has_other_mistake(memory):
         return
     if worst_angle > 1.0:
         report(memory, SUBJECTS.pose, MISTAKES.yaw_drifts, angle, 0.0, 0.0)

@@ -28,7 +28,7 @@ from .record import (
 from .regression import LOOKS, add_window, compare, judge, start_window
 from .requests import back_to, command_range, left_of_beginning, requested
 
-YAW = 0.005
+YAW_NOISE = 0.005
 """rad, noise of a difference of two samples."""
 STEADY = 0.6
 """m/s^2 in a look, by which speed times yaw rate may change where it is compared with the lateral acceleration: a car
@@ -47,7 +47,7 @@ def compare_turn(turned, rates, first, time, memory):
     """The change of yaw against the yaw rate; first: the look with which the window begins."""
     last, before = memory.ticks[TICKS - 1], memory.ticks[TICKS - 2]
     change = last[T.yaw_rate] - memory.ticks[first + 1, T.yaw_rate]
-    noise = YAW + 0.003 * time
+    noise = YAW_NOISE + 0.003 * time
     label = compare(memory, COMPARED.turn, rates, change, 0.0, turned, noise, last[T.time])
     rolled = last[T.yaw_rate] * last[T.time]
     in_degrees = wrapped(DEGREE * (last[T.yaw] - before[T.yaw]))
@@ -113,7 +113,7 @@ def compare_clocks(memory):
         of_yaw, of_rate = max(late, 0.0), max(-late, 0.0)
         y = _interpolate(end - of_yaw, 0, integrals, memory) - _interpolate(start - of_yaw, 0, integrals, memory)
         x = _interpolate(end - of_rate, 1, integrals, memory) - _interpolate(start - of_rate, 1, integrals, memory)
-        add_window(memory.grams[FIRST_GRAM[COMPARED.clock] + k], left, 1.0 / YAW, x, 0.0, 0.0, y)
+        add_window(memory.grams[FIRST_GRAM[COMPARED.clock] + k], left, 1.0 / YAW_NOISE, x, 0.0, 0.0, y)
     if judge(memory, COMPARED.clock, COMPARED.clock, 1.0, False) > 0:
         memory.label[COMPARED.turn] = 1 + MISTAKES.yaw_late
         report(memory, SUBJECTS.yaw_late, MISTAKES.yaw_late, 0.0, 0.0, 0.0)
