@@ -318,7 +318,7 @@ def test_check_loop_says_why_it_could_not_compare(monkeypatch, capsys, tmp_path,
 
 UNITS = {
     "right": ({}, ""), "km/h": ({"speed": 3.6}, "km/h"), "deg/s": ({"yaw_rate": DEGREES}, "--units"),
-    "command in degrees": ({"command": DEGREES}, "command=deg"), "sign": ({"command": -1.0}, "turns to the other side"),
+    "command in degrees": ({"command": DEGREES}, "command=deg"), "sign": ({"command": -1.0}, "opposite signs"),
     "command at the steering wheel": ({"command": 16.0}, "steering wheel"),
 }  # fmt: skip
 
@@ -330,7 +330,7 @@ def test_wrong_units_are_found_in_a_log_without_positions():
             columns = read_columns({n: values * factors.get(n, 1.0) for n, values in log.items()}, Reading())
             check = check_loop(columns)
             assert check.compared > 0
-            assert [words in sentence for sentence in check.contradictions] == [True] * (words != ""), (speed, name)
+            assert [words in sentence for sentence in check.contradictions[:1]] == [True] * (words != ""), name
 
 
 def weaving(speed):

@@ -27,7 +27,7 @@ class LoopCheck(NamedTuple):
     """Result of a check of the columns of a log."""
 
     contradictions: tuple[str, ...]
-    """sentences: the column, the measured contradiction, the remedy"""
+    """sentences: the column, the measured contradiction, the remedy; those of the whole log, with their option, first"""
     findings: tuple[Finding, ...]
     """of windows of half a second"""
     agreements: tuple[Agreement, ...]
@@ -68,7 +68,7 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     agreements, limit = _compare_whole_log(columns, vehicle.wheelbase if vehicle else USUAL_WHEELBASE)
     sentences = tuple(agreement.contradiction for agreement in agreements if agreement.contradiction)
     return LoopCheck(
-        check.suspect or sentences, check.findings, tuple(agreements), float(np.ptp(instants)), sliding, limit
+        sentences + check.suspect, check.findings, tuple(agreements), float(np.ptp(instants)), sliding, limit
     )
 
 
