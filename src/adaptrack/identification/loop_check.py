@@ -27,7 +27,7 @@ class LoopCheck(NamedTuple):
     """Result of a check of the columns of a log."""
 
     contradictions: tuple[str, ...]
-    """sentences: the column, the measured contradiction, the remedy; those of the whole log, with their option, first"""
+    """sentences: column, measured contradiction, remedy; those of the whole log, with their option, first"""
     findings: tuple[Finding, ...]
     """of windows of half a second"""
     agreements: tuple[Agreement, ...]
