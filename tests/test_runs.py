@@ -15,8 +15,8 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core import loop
-from adaptrack.core.controllers.mpc import ANSWER
-from adaptrack.core.plants.contract import STATE
+from adaptrack.core.controllers.mpc import MPC_ANSWER
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.simulate import rollout, simulate
@@ -210,7 +210,7 @@ def tunings_of(batch, schedule, seed=0):
     trace = batch.run(
         np.zeros(1, int), START.as_array()[None], np.array([seed]), 1, traced=True, scheduler=schedule
     ).trace
-    return trace.answer[0, :, ANSWER.Np : ANSWER.R + 1], trace.state[0], trace.answer[0]
+    return trace.answer[0, :, MPC_ANSWER.Np : MPC_ANSWER.R + 1], trace.state[0], trace.answer[0]
 
 
 @pytest.mark.compiled
@@ -257,8 +257,8 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
     np.testing.assert_allclose(given[:, 0], 30.0 + estimates[:, 1] / 2.0, rtol=0, atol=0.5 + 1e-9)
     for name in ("x", "y", "yaw", "vx", "vy", "yaw_rate"):
         recorded = getattr(slow, {"x": "X", "y": "Y", "yaw": "psi"}.get(name, name))
-        np.testing.assert_allclose(states[:, getattr(STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_allclose(answers[:, ANSWER.command], slow.command, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(states[:, getattr(PLANT_STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(answers[:, MPC_ANSWER.command], slow.command, rtol=0, atol=1e-9)
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(load_profile("road").period).friction.mean(axis=1)
     assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"

@@ -11,7 +11,7 @@ import mppi_kernel as kernel
 from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, VehicleArgument, in_periods
-from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.registry import register_controller
 from adaptrack.core.public import LAW_SIGNATURE, compiles, member
@@ -51,9 +51,9 @@ class MPPI(CompiledController):
     """
 
     # only the ratios to q_e count
-    tuning_bounds: Mapping[str, Bounds] = {
-        "temperature": DECADES, "spread": Bounds(0.1, 10.0, relative=True), "q_e": FIXED, "q_course": DECADES,
-        "r": DECADES,
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "temperature": TWO_DECADES, "spread": TuningBounds(0.1, 10.0, relative=True), "q_e": FIXED_TUNING,
+        "q_course": TWO_DECADES, "r": TWO_DECADES,
     }  # fmt: skip
 
     @checked

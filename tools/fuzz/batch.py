@@ -52,10 +52,10 @@ def _good_for(good: Array) -> Array:
 
 def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: Array, good: Array) -> tuple[int, str]:
     """The first step at which a claim does not hold, and the claim; -1: all hold."""
-    from adaptrack.core.controllers.mpc import ANSWER
+    from adaptrack.core.controllers.mpc import MPC_ANSWER
 
-    angle, move, held = (answers[:, i] for i in (ANSWER.command, ANSWER.command_change, ANSWER.held))
-    status, residual = answers[:, ANSWER.qp_status], answers[:, ANSWER.qp_residual]
+    angle, move, held = (answers[:, i] for i in (MPC_ANSWER.command, MPC_ANSWER.command_change, MPC_ANSWER.held))
+    status, residual = answers[:, MPC_ANSWER.qp_status], answers[:, MPC_ANSWER.qp_residual]
     (least, most), (down, up) = mpc.limits.angle, mpc.limits.move
     solved = status == QPStatus.SOLVED
     needed = np.isfinite(speeds)
@@ -72,7 +72,7 @@ def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: 
         "what is solved is certified": ~solved | (residual <= CERTIFIED) | (np.abs(speeds) < STANDING),
         "what is not finite is not solved": ~solved | needed,
         "what is not finite leaves the command": (status != QPStatus.NON_FINITE) | (move == 0.0),
-        "what is learned is finite": np.isfinite(answers[:, len(ANSWER) :]).all(axis=1),
+        "what is learned is finite": np.isfinite(answers[:, len(MPC_ANSWER) :]).all(axis=1),
     }
     if not mpc.limits.ahead > 0.0:
         claims["moves are within their limits"] = (move >= down - 1e-9) & (move <= up + 1e-9)

@@ -33,7 +33,7 @@ Progress = Callable[[str, int, int], None]
 OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
 """The operating domain, by scheduling variable; a scheduler is certified where this and its own domain overlap."""
 Driving = Literal["straight", "turn"]
-DRIVING: tuple[Driving, ...] = ("straight", "turn")
+DRIVING_CASES: tuple[Driving, ...] = ("straight", "turn")
 """Ways of driving about which the loop is linearised, in the order of tables and maps."""
 _CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
 
@@ -151,7 +151,7 @@ class Certificate:
         return [
             {"guard": guard, "unstable": unstable, **self._point(sweep, driving, i)}
             for guard, sweep in sweeps
-            for driving in DRIVING
+            for driving in DRIVING_CASES
             for i, unstable in self._worst_of_cells(getattr(sweep, driving))
         ]
 
@@ -186,7 +186,7 @@ class Certificate:
                     **_finite(extremes(getattr(self.counted, driving))),
                     "worst": self.worst_points(1, driving=driving)[0],
                 }
-                for driving in DRIVING
+                for driving in DRIVING_CASES
             },
             "mismatched": self.mismatched_rows(),
         }

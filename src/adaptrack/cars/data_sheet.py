@@ -67,7 +67,7 @@ def vehicle_from_data_sheet(
         hint = did_you_mean(str(body_style), BODY_STYLES)
         raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
     arms = {key: real("vehicle_from_data_sheet", key, known.pop(key)) for key in ("lf", "lr") if key in known}
-    made, within = row_of(kernel.Car, mass=mass, **arms), row_of(kernel.KnownWithin)
+    made, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
     status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), made, within)
     if status == kernel.TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
@@ -80,7 +80,7 @@ def vehicle_from_data_sheet(
     estimates = {key: float(made[key]) for key in _ESTIMATED}
     known |= {key: estimates[key] for key in ("lf", "lr") if arms}
     guessed = [key for key in estimates if key not in known]
-    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithin._fields and key != "lr"}
+    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithinRow._fields and key != "lr"}
     known.setdefault("known_within", KnownWithin(**spreads))
     known.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
     guessed += [

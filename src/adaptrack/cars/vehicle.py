@@ -106,14 +106,18 @@ class Tyre(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the tyre, `core.synthesis.plant.Tyre`."""
+        """Kernel record of the tyre, `core.synthesis.plant.TyreRow`."""
         return row_of(
-            kernel.Tyre, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
+            kernel.TyreRow, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
             shape_factor=self.shape,
         )  # fmt: skip
 
 
-_LOAD_LAWS = {"constant": kernel.CONSTANT, "linear": kernel.LINEAR, "digressive": kernel.DIGRESSIVE}
+_LOAD_LAWS = {
+    "constant": kernel.CONSTANT_STIFFNESS,
+    "linear": kernel.LINEAR_STIFFNESS,
+    "digressive": kernel.DIGRESSIVE_STIFFNESS,
+}
 
 
 class SteeringActuator(Record):
@@ -199,8 +203,8 @@ class Body(Record):
 
     @property
     def numbers(self) -> Any:
-        """A row of `core.synthesis.plant.Body`."""
-        return row_of(kernel.Body, self)
+        """A row of `core.synthesis.plant.BodyRow`."""
+        return row_of(kernel.BodyRow, self)
 
 
 class Vehicle(Record):
@@ -311,7 +315,7 @@ class Vehicle(Record):
     @property
     def outline(self) -> Outline:
         """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
-        body, found = self.body or Body(), row_of(kernel.Outline)
+        body, found = self.body or Body(), row_of(kernel.OutlineRow)
         kernel.outline_of(body.numbers, self.chassis, found)
         known = {
             "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
@@ -328,8 +332,8 @@ class Vehicle(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the car for controller synthesis, `core.synthesis.car.Car`."""
-        return row_of(car.Car, self)
+        """Kernel record of the car for controller synthesis, `core.synthesis.car.CarRow`."""
+        return row_of(car.CarRow, self)
 
     @property
     def chassis(self) -> Any:

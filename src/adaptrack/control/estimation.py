@@ -33,12 +33,12 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 
 NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0, 0.0])
-"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASURED`."""
+"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASUREMENT`."""
 LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 """m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
 
 
-SLOWEST = 5.0
+MIN_FILTER_SPEED = 5.0
 """m/s: from this speed on a step of the filter is no longer than the time constants of the lateral motion."""
 
 
@@ -264,7 +264,7 @@ class FrictionWindEstimator:
     """
 
     _prior = friction_wind.DEFAULT_PRIOR
-    """`core.estimators.friction_wind.Prior`; an experiment replaces it in a subclass"""
+    """`core.estimators.friction_wind.FrictionWindPrior`; an experiment replaces it in a subclass"""
 
     @checked
     def __init__(
@@ -286,7 +286,7 @@ class FrictionWindEstimator:
         self.delay = bool(delay)
         self.period = period
         rate = lateral_rate(vehicle.chassis, self.tyre.numbers)
-        self.steps = math.ceil(self.period * rate / SLOWEST)
+        self.steps = math.ceil(self.period * rate / MIN_FILTER_SPEED)
         self.noise = (noise_vy, noise_yaw_rate, noise_acceleration)
         self._packed = pack_plant(self.vehicle, self.tyre, self.steering)
         self._settings = self.settings()
@@ -319,11 +319,11 @@ class FrictionWindEstimator:
         )
 
     def settings(self) -> Array:
-        """Everything but the vehicle: numbers of `core.estimators.friction_wind.Settings`."""
+        """Everything but the vehicle: numbers of `core.estimators.friction_wind.FrictionWindSettings`."""
         prior, step = self._prior, self.period / self.steps
         root, (least, most) = math.sqrt(step), prior.friction_range
         noise_vy, noise_yaw_rate, noise_acceleration = self.noise
-        row = friction_wind.Settings.new(
+        row = friction_wind.FrictionWindSettings.new(
             1, prior=prior, steps=self.steps, step=step, delay=self.delay, noise_vy=noise_vy,
             noise_yaw_rate=noise_yaw_rate, noise_acceleration=noise_acceleration, drift_vy=prior.drift_vy * root,
             drift_yaw_rate=prior.drift_yaw_rate * root, tyre_error=prior.tyre_error * root,

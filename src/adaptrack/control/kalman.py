@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.estimation import Estimator
-from adaptrack.control.models import MEASURED, PathModel, PredictionModel
+from adaptrack.control.models import MEASURED_STATES, PathModel, PredictionModel
 from adaptrack.control.settings import RecordSettings
-from adaptrack.core.estimators.kalman import Numbers, kalman, memory_of, move_path
+from adaptrack.core.estimators.kalman import FilterParameters, kalman, memory_of, move_path
 from adaptrack.core.kernel import size_of
 from adaptrack.core.synthesis import filter as kernel
 from adaptrack.core.synthesis.rows import row_of
@@ -23,7 +23,7 @@ from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
 
-SENSORS = (*MEASURED, "lateral_acceleration")
+SENSORS = (*MEASURED_STATES, "lateral_acceleration")
 """What the filter takes in."""
 
 
@@ -34,7 +34,7 @@ class SensorNoise(RecordSettings, record=kernel.Noise):
     """
 
 
-class Drifts(RecordSettings, record=kernel.Drifts):
+class Drifts(RecordSettings, record=kernel.DriftsRow):
     """How fast the estimates of the filter may change beyond the model: standard deviations after one second.
 
     They are random walks: after t seconds the deviation is sqrt(t) times as large. The terms of the tyres tell how much
@@ -106,6 +106,6 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     def parameters(self, model: PredictionModel) -> Array:
         assert isinstance(model, PathModel)
-        found = np.zeros(size_of(Numbers))
+        found = np.zeros(size_of(FilterParameters))
         kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, found)
         return found

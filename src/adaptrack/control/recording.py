@@ -13,11 +13,11 @@ from typing import TextIO
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
 
-COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw", "called", "answer",
-           "offset")  # fmt: skip
+LOG_COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw",
+               "called", "answer", "offset")  # fmt: skip
 """A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time,
 the command that it answered, the distance from the path. SI units."""
-CHUNK, LATE = 1.0, 1.0
+CHUNK, MAX_LATENESS = 1.0, 1.0
 """s, between two writes, and that a sample may be late to be put where it belongs in time."""
 _log = logging.getLogger("adaptrack")
 
@@ -51,7 +51,7 @@ class Recorder:
             if not own and self._journal.exists():
                 self._journal.replace(_free(self.path))
             self._stream: TextIO | None = self._journal.open("w", encoding="utf-8", newline="\n")
-            self._stream.write(",".join(COLUMNS) + "\n")
+            self._stream.write(",".join(LOG_COLUMNS) + "\n")
             self._stream.flush()
         except OSError as error:
             raise StorageError(f"Tracker: record = {str(path)!r}: cannot be written: {error.strerror}.") from error
@@ -68,7 +68,7 @@ class Recorder:
         self._rows.append((time, command, *values, now, answer, offset))
         if not now < self._due:
             self._due = now + CHUNK
-            self._write(now - LATE)
+            self._write(now - MAX_LATENESS)
 
     def _write(self, until: float) -> None:
         """Append the rows up to a time (s) in their order; what repeats a time, or comes too late, is left out."""
@@ -108,7 +108,7 @@ class Recorder:
         import pyarrow.csv
         import pyarrow.parquet
 
-        floats = pyarrow.csv.ConvertOptions(column_types=dict.fromkeys(COLUMNS, pyarrow.float64()))
+        floats = pyarrow.csv.ConvertOptions(column_types=dict.fromkeys(LOG_COLUMNS, pyarrow.float64()))
         content = io.BytesIO()
         pyarrow.parquet.write_table(pyarrow.csv.read_csv(self._journal, convert_options=floats), content)
         write_atomically(self.path, content.getvalue())

@@ -33,7 +33,7 @@ INTERPRETED = library.WAY == "interpreted"
 
 # -- types ------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Number:
+class Scalar:
     """float64 (double in C), int64 or boolean (int64_t), void. Called, it makes a signature: ``float64(vector)``."""
 
     name: str
@@ -65,7 +65,7 @@ class Array:
 
     @cached_property
     def dtype(self) -> Any:
-        return np.dtype(self.of.name) if isinstance(self.of, Number) else self.of.dtype
+        return np.dtype(self.of.name) if isinstance(self.of, Scalar) else self.of.dtype
 
     def given(self, value: Any) -> tuple[Any, ...]:
         if not (isinstance(value, np.ndarray) and value.ndim == self.ndim and value.dtype == self.dtype):
@@ -100,7 +100,7 @@ class Row(Place):
 class Signature:
     """Types of what a kernel returns (several: the C function writes them behind its last argument) and takes."""
 
-    returns: tuple[Number, ...]
+    returns: tuple[Scalar, ...]
     arguments: tuple[Any, ...]
 
     @cached_property
@@ -117,18 +117,18 @@ class Signature:
         return ctypes.CFUNCTYPE(None if self.returns == (void,) else self.returns[0].ctypes[0], *parameters)
 
 
-def several(*kinds: Number) -> Callable[..., Signature]:
+def several(*kinds: Scalar) -> Callable[..., Signature]:
     """For signatures of functions that return several numbers: ``several(int64, float64)(vector)``."""
     return lambda *arguments: Signature(kinds, arguments)
 
 
-float64, int64, boolean, void = map(Number, ("float64", "int64", "boolean", "void"))
+float64, int64, boolean, void = map(Scalar, ("float64", "int64", "boolean", "void"))
 vector, matrix, cube, four_dimensions = (Array(float64, ndim) for ndim in (1, 2, 3, 4))
 int_vector, int_matrix = (Array(int64, ndim) for ndim in (1, 2))
 
 
 # -- records ----------------------------------------------------------------------------------------------------------
-class Setting(NamedTuple):
+class Field(NamedTuple):
     """A field of a record, defined once: Python's settings (`control.settings`) and the C header follow from it."""
 
     name: str
@@ -159,14 +159,14 @@ class Setting(NamedTuple):
         return (float64, len(self.default)) if isinstance(self.default, tuple) else float64
 
 
-def record(name: str, fields: Collection[str | Setting | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
+def record(name: str, fields: Collection[str | Field | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
     """A record: a named tuple class whose `kinds` are the types of its fields.
 
-    A field is a name alone, of a number (float64; int64 if the name is in `integers`), a `Setting`, or a name with its
+    A field is a name alone, of a number (float64; int64 if the name is in `integers`), a `Field`, or a name with its
     type: a number, an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a
     row of an array: it has a `dtype` and `new`, and `rows` is the type of an array of it.
     """
-    settings = {field.name: field for field in fields if isinstance(field, Setting)}
+    settings = {field.name: field for field in fields if isinstance(field, Field)}
     kinds = dict(_named_kind(field, integers) for field in fields)
     # It belongs to the module that asks for it: pickled, it is found again by module and name.
     module = sys._getframe(1).f_globals["__name__"]
@@ -178,7 +178,7 @@ def record(name: str, fields: Collection[str | Setting | tuple[str, Any]], integ
 
 
 def _named_kind(field: Any, integers: Iterable[str]) -> tuple[str, Any]:
-    if isinstance(field, Setting):
+    if isinstance(field, Field):
         return field.name, field.kind
     return (field, int64 if field in integers else float64) if isinstance(field, str) else field
 
@@ -199,7 +199,7 @@ def _dtype(kinds: dict[str, Any]) -> Any:
     entries: list[Any] = []
     for name, kind in kinds.items():
         kind, *count = kind if type(kind) is tuple else (kind,)
-        inner = kind.name if isinstance(kind, Number) else getattr(kind, "dtype", None)
+        inner = kind.name if isinstance(kind, Scalar) else getattr(kind, "dtype", None)
         if inner is None or isinstance(kind, Array):
             return None
         entries.append((name, inner, *([tuple(count)] if count else [])))

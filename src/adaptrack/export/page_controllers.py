@@ -19,7 +19,7 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
 
 1. ``plant_parameters(chassis, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
    functions the `plants.contract.Vehicles` hold.
-2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.Settings`;
+2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.LoopSettings`;
    ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
    copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the chassis
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
@@ -64,27 +64,27 @@ from adaptrack.core.synthesis import laws
 from adaptrack.drive.world import World
 from adaptrack.scenario.profile import Profile, load_profile
 
-INFORMED = ("informed", "learning")
+INFORMED_KINDS = ("informed", "learning")
 MADE_BY = {
     "pure-pursuit": (PurePursuit, laws.pure_pursuit_parameters, laws.PURSUIT),
     "stanley": (Stanley, laws.stanley_parameters, laws.STANLEY),
-    "lqr": (LQR, laws.lqr_parameters, laws.LQR),
+    "lqr": (LQR, laws.lqr_parameters, laws.LQR_NUMBERS),
 }
 """Laws by kind: the controller, the kernel that makes its parameters, and how many these are."""
-OF_THE_CAR, OF_THE_DRIVE = ("car", "within", "given", "file"), ("substeps", "dead_whole", "dead_share")
+CAR_FIELDS, DRIVE_FIELDS = ("car", "within", "given", "file"), ("substeps", "dead_whole", "dead_share")
 
 
 def world_numbers(profile: str | Profile) -> dict[str, Any]:
     """A profile for a program without Python, see the module.
 
-    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings`` (`core.loop.Settings`,
-    all that is not of car or drive), ``remembered`` (instants whose samples are kept) and ``plants``, the names of the
-    functions for each answer of ``plant_law``.
+    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
+    (`core.loop.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept) and
+    ``plants``, the names of the functions for each answer of ``plant_law``.
     """
     profile_world, car = load_profile(profile), _any_car()
     world = World.of(DualTrack(car), MPC(car, profile=profile_world), profile_world, None, None, None)
     settings = world.settings(1)._asdict()
-    theirs = (*OF_THE_DRIVE, "failure_distance", *(key for key in settings if key.startswith("steering_")))
+    theirs = (*DRIVE_FIELDS, "failure_distance", *(key for key in settings if key.startswith("steering_")))
     for key in (*theirs, *world.plant.powertrain):
         del settings[key]
     plants = [
@@ -97,7 +97,7 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
 
 
 def controller_numbers(kind: str, profile: str | Profile, preview: bool | None = None) -> dict[str, Any]:
-    """A controller of a kind (`INFORMED`, ``published``, `MADE_BY`) for a program without Python, see the module.
+    """A controller of a kind (`INFORMED_KINDS`, ``published``, `MADE_BY`) for a program without Python, see the module.
 
     preview: whether the reference is known ahead; None: as the profile says.
     """
@@ -109,14 +109,14 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
     if kind == "published":
         mpc = published_mpc(car, period=world.period, preview=preview)
         return {"settings": _others(mpc, _WRITTEN), "functions": _functions(mpc)}
-    if kind not in INFORMED:
-        kinds = (*INFORMED, "published", *MADE_BY)
+    if kind not in INFORMED_KINDS:
+        kinds = (*INFORMED_KINDS, "published", *MADE_BY)
         raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
     learning: Any = Learning() if kind == "learning" else "auto"
     order, *_ = order_of(car, world, (None, None, learning), None, None, preview)
     mpc = MPC(car, profile=world, learning=learning, preview=preview)
     left = _row(order)
-    for part in OF_THE_CAR:
+    for part in CAR_FIELDS:
         del left[part]
     return {"order": left, "settings": _others(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
 

@@ -31,7 +31,7 @@ SECTIONS: dict[str, type[Record]] = {
     "tyre": Tyre,
 }
 """Sections of a car file, and the tyre's own file."""
-MOST_POINTS = 20_000
+MAX_PAGE_POINTS = 20_000
 DRIVE = {
     "time": "time", "command": "command", "wheel": "wheel_angle", "speed": "vx", "yaw_rate": "yaw_rate", "vy": "vy",
     "acceleration": "lateral_acceleration", "yaw": "yaw", "x": "x", "y": "y",
@@ -43,7 +43,7 @@ ANSWERS = {
     "car_flaw": {"ONE_CAR": car.ONE_CAR},
     "overhangs": {"HOLDS": plant.HOLDS},
     "path_through": {name: getattr(path, name) for name in (
-        "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TOO_SHORT", "KINK", "TOO_SMALL")},
+        "OK", "TOO_FEW", "POINT_NOT_FINITE", "POINT_TOO_FAR", "TOO_SHORT", "PATH_KINK", "TOO_SMALL")},
 }  # fmt: skip
 """What these kernels answer, by name."""
 _BOUNDS = ("gt", "ge", "lt", "le")
@@ -74,8 +74,8 @@ def car_fields() -> dict[str, Any]:
         "points": {
             "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
             "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
-            "fewest": path.FEWEST, "most": MOST_POINTS, "farthest": path.FARTHEST, "widest": path.WIDEST,
-            "shortest": path.SHORTEST,
+            "fewest": path.MIN_PATH_POINTS, "most": MAX_PAGE_POINTS, "farthest": path.MAX_COORDINATE,
+            "widest": path.WIDEST, "shortest": path.MIN_PATH_LENGTH,
         },
         "drive": DRIVE,
         "answers": ANSWERS,
@@ -109,9 +109,9 @@ def plain(value: Any) -> Any:
 
 
 def tyre_numbers(tyre: Tyre) -> dict[str, Any]:
-    """A row of `core.synthesis.plant.Tyre` by name; None for NaN."""
+    """A row of `core.synthesis.plant.TyreRow` by name; None for NaN."""
     row = tyre.numbers
-    return {name: None if math.isnan(row[name]) else row[name].item() for name in plant.Tyre._fields}
+    return {name: None if math.isnan(row[name]) else row[name].item() for name in plant.TyreRow._fields}
 
 
 def _is_section(field: FieldInfo) -> bool:

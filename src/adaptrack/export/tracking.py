@@ -16,33 +16,33 @@ from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.records import LawTracking, Tracking
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
-from adaptrack.export.block import Block, Role, Start, pack
+from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
 from adaptrack.road import Road, SpeedPlan
 
 ROLES = {
-    "tracker.settings": Role.FIXED,
-    "tracker.check.settings": Role.FIXED,
-    "scheduling.schedule.settings": Role.FIXED,
-    "scheduling.schedule.integers": Role.FIXED,
-    "scheduling.schedule.numbers": Role.FIXED,
-    "scheduling.first": Role.FIXED,
+    "tracker.settings": ArrayRole.FIXED,
+    "tracker.check.settings": ArrayRole.FIXED,
+    "scheduling.schedule.settings": ArrayRole.FIXED,
+    "scheduling.schedule.integers": ArrayRole.FIXED,
+    "scheduling.schedule.numbers": ArrayRole.FIXED,
+    "scheduling.first": ArrayRole.FIXED,
     # of an MPC
-    "step.mpc.states": Role.FIXED,
-    "step.mpc.informed.fresh": Role.FIXED,
-    "step.mpc.informed.learner": Role.FIXED,
-    "step.mpc.ws.moves": Role.FIXED,
-    "step.mpc.model": Role.RENEWED,
-    "step.mpc.parameters": Role.RENEWED,
-    "step.mpc.feed.turning": Role.RENEWED,
-    "step.mpc.informed.estimator": Role.RENEWED,
-    "step.mpc.ws.rows": Role.RENEWED,
-    "step.tuning": Role.RENEWED,
+    "step.mpc.states": ArrayRole.FIXED,
+    "step.mpc.informed.fresh": ArrayRole.FIXED,
+    "step.mpc.informed.learner": ArrayRole.FIXED,
+    "step.mpc.ws.moves": ArrayRole.FIXED,
+    "step.mpc.model": ArrayRole.RENEWED,
+    "step.mpc.parameters": ArrayRole.RENEWED,
+    "step.mpc.feed.turning": ArrayRole.RENEWED,
+    "step.mpc.informed.estimator": ArrayRole.RENEWED,
+    "step.mpc.ws.rows": ArrayRole.RENEWED,
+    "step.tuning": ArrayRole.RENEWED,
     # of a law
-    "law.parameters": Role.FIXED,
-    "tuning": Role.RENEWED,
+    "law.parameters": ArrayRole.FIXED,
+    "tuning": ArrayRole.RENEWED,
 }
 """Of `Tracking` and `LawTracking`; all else is kept."""
-STARTS = (Start("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
+STARTS = (ArrayStart("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
 RESETS = {"step.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
 OUTSIDE = ("tracker.path", "tracker.plan")

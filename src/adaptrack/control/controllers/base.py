@@ -19,7 +19,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.synthesis import laws
-from adaptrack.core.synthesis.car import Steering as SteeringRow
+from adaptrack.core.synthesis.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.road.ahead import RoadAhead, straight
 
@@ -65,7 +65,7 @@ def command_of(answer: Any, before: float) -> Command:
     )  # fmt: skip
 
 
-class Bounds(NamedTuple):
+class TuningBounds(NamedTuple):
     """Within which a tuning entry is sought."""
 
     low: float
@@ -74,9 +74,9 @@ class Bounds(NamedTuple):
     """low and high are factors on the controller's own value; else they are values"""
 
 
-DECADES = Bounds(0.01, 100.0, relative=True)
+TWO_DECADES = TuningBounds(0.01, 100.0, relative=True)
 """Two decades to either side of the controller's own value."""
-FIXED = Bounds(1.0, 1.0, relative=True)
+FIXED_TUNING = TuningBounds(1.0, 1.0, relative=True)
 
 
 class Controller(ABC):
@@ -102,8 +102,8 @@ class Controller(ABC):
     """Numbers by name that may be tuned; of an MPC its `Tuning`."""
     tuning_names: tuple[str, ...] = ()
     """Their names; by default those of the class's `tuning_bounds`."""
-    tuning_bounds: Mapping[str, Bounds | tuple[float, float]] = MappingProxyType({})
-    """Where each of them is sought, (low, high) or `Bounds`; empty: nothing is."""
+    tuning_bounds: Mapping[str, TuningBounds | tuple[float, float]] = MappingProxyType({})
+    """Where each of them is sought, (low, high) or `TuningBounds`; empty: nothing is."""
     diagnostic_names: tuple[str, ...] = ()
     """Names of the diagnostics that accompany the command."""
     vehicle: Any = None
@@ -113,7 +113,7 @@ class Controller(ABC):
     sees_road: bool = True
     """Whether `step` has the argument `road`; without it a controller steers along roads by offset and heading."""
     sees_all_sensors: bool = False
-    """Whether `step` is given all that is measured (`core.models.contract.MEASURED`), not four numbers only."""
+    """Whether `step` is given all that is measured (`core.models.contract.MEASUREMENT`), not four numbers only."""
     scheduler: Any = None
     """Scheduler that changes the tuning while driving; None without one."""
     model: Any = None
@@ -266,7 +266,7 @@ class CompiledController(Controller):
 
     @abstractmethod
     def own_parameters(self) -> Sequence[float] | Array:
-        """Return the law's parameters that follow `core.controllers.contract.COMMON`."""
+        """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
 
     def parameters(self) -> Array:
         """The law's constant numbers."""

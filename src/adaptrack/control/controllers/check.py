@@ -14,11 +14,11 @@ from adaptrack.control.controllers.base import Array, Controller, command_of
 from adaptrack.road import Arc, Line, Road
 from adaptrack.road.ahead import RoadAhead
 
-SPEEDS = (1.0, 5.0, 15.0, 30.0)
+CHECK_SPEEDS = (1.0, 5.0, 15.0, 30.0)
 """m/s, at which a controller is called."""
-STEPS = 5
+CHECK_STEPS = 5
 """Steps of each drive that is put to it."""
-NEAR = 1e-9
+COMMAND_TOLERANCE = 1e-9
 """rad, within which commands are the same, and limits kept."""
 BAD = (math.nan, math.inf, -math.inf, 1e300, -1e300)
 """What a broken sensor may say."""
@@ -131,20 +131,20 @@ class _Asking:
             self.fail("it must not write to its arguments", f"it did at {shown}")
         if not (math.isfinite(angle) and math.isfinite(move)):
             self.fail("a command must be finite", f"angle {angle!r} rad, move {move!r} rad at {shown}")
-        if abs(move - (angle - self.last)) > NEAR:
+        if abs(move - (angle - self.last)) > COMMAND_TOLERANCE:
             self.fail(
                 "`move` must be the change of `angle`", f"{move!r} instead of {angle - self.last!r} rad at {shown}"
             )
-        if not self.angle[0] - NEAR <= angle <= self.angle[1] + NEAR:
+        if not self.angle[0] - COMMAND_TOLERANCE <= angle <= self.angle[1] + COMMAND_TOLERANCE:
             self.fail("a command must keep the limits on the angle", f"{angle!r} rad, limits {self.angle} at {shown}")
-        if not self.move[0] - NEAR <= move <= self.move[1] + NEAR:
+        if not self.move[0] - COMMAND_TOLERANCE <= move <= self.move[1] + COMMAND_TOLERANCE:
             self.fail("a command must keep the limits on the move", f"{move!r} rad, limits {self.move} at {shown}")
         self.last = angle
         return angle
 
     def same(self, commands: list[float], others: list[float], clause: str) -> None:
         apart = float(np.abs(np.subtract(commands, others)).max())
-        if apart > NEAR:
+        if apart > COMMAND_TOLERANCE:
             self.fail(clause, f"{commands} against {others} rad")
 
     def survives(self, question: Question) -> None:
@@ -165,11 +165,11 @@ def _drives() -> Iterator[list[Question]]:
     """Sane situations: each a few steps of a drive at one speed, on a straight and through a change of lane."""
     random = np.random.default_rng(0)
     ahead = np.arange(80.0)
-    for speed in SPEEDS:
+    for speed in CHECK_SPEEDS:
         for offset, height in ((0.0, 0.0), (0.3, 0.0), (0.0, 3.5), (-1.0, 3.5)):
             path = height * 0.5 * (1.0 - np.cos(np.pi * np.clip((ahead - 5.0) / 40.0, 0.0, 1.0)))
-            state = random.normal((0.0, 0.0, 0.0, offset), (0.1, 0.02, 0.02, 0.1), (STEPS, 4))
-            yield [(state[k], speed, path[k:]) for k in range(STEPS)]
+            state = random.normal((0.0, 0.0, 0.0, offset), (0.1, 0.02, 0.02, 0.1), (CHECK_STEPS, 4))
+            yield [(state[k], speed, path[k:]) for k in range(CHECK_STEPS)]
 
 
 def _broken() -> Iterator[Question]:

@@ -31,8 +31,8 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
 from adaptrack.core.estimators.learning_method import MAX_HYPOTHESES
 from adaptrack.core.synthesis import informed as kernel
-from adaptrack.core.synthesis.car import KnownWithin
-from adaptrack.core.synthesis.learner import Start
+from adaptrack.core.synthesis.car import KnownWithinRow
+from adaptrack.core.synthesis.learner import LearnerStart
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.synthesis.tuning import tune_informed
 from adaptrack.scenario.profile import Profile, load_profile
@@ -85,7 +85,7 @@ def _tuning(entries: NDArray[np.float64]) -> Tuning:
     return Tuning(int(Np), int(Nc), Q, R)
 
 
-class Parts(NamedTuple):
+class MPCParts(NamedTuple):
     """What an MPC is made of, in addition to its vehicle, its moves and its solver."""
 
     tuning: Tuning
@@ -103,7 +103,7 @@ class Parts(NamedTuple):
 def informed_parts(
     vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
-) -> Parts:  # fmt: skip
+) -> MPCParts:  # fmt: skip
     """The parts of an MPC that knows its car; arguments as for `MPC`, given: belief, uncertainty and learning.
 
     Raises
@@ -113,7 +113,7 @@ def informed_parts(
     """
     order, world, method, computation_time = order_of(vehicle, profile, given, period, estimator, preview, computation)
     car, step = vehicle, float(order.world.period)
-    rows = kernel.Parts.new(1)
+    rows = kernel.InformedParts.new(1)
     rows["filter"] = (KalmanFilter() if estimator is None else estimator).row
     parts = rows[0]
     if wrong := kernel.informed_parts(order, parts):
@@ -123,7 +123,7 @@ def informed_parts(
     seconds = 0.0 if method.start is None else method.start.seconds
     belief = belief_of(parts.belief, car, world, computation_time, seconds)
     learns = "" if learner is None else f": {_learned_ranges(learner)}"
-    return Parts(
+    return MPCParts(
         tuning=_tuning(parts.tuning),
         model=PathModel(car if learner is None else learner.car, step, float(parts.lag), float(parts.dead_time)),
         estimator=filtering,
@@ -166,11 +166,11 @@ def _order(
     """A row of `core.synthesis.informed.Order`."""
     rows = kernel.Order.new(1, unsure_given=uncertainty is not None)
     rows["car"], rows["world"] = car.numbers, world
-    rows["within"] = row_of(KnownWithin, car.known_within, said=car.known_within is not None)
+    rows["within"] = row_of(KnownWithinRow, car.known_within, said=car.known_within is not None)
     rows["given"], rows["file"], rows["actuator"] = steering
     rows["unsure"] = (uncertainty or Uncertainty()).row
     rows["longest_horizon"], rows["most_moves"] = _MOST
-    rows["method"], rows["start"] = method.row, row_of(Start, method.start)
+    rows["method"], rows["start"] = method.row, row_of(LearnerStart, method.start)
     return rows[0]
 
 

@@ -11,14 +11,14 @@ import numpy as np
 from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
-from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
 
-WEIGHTS = {
+AUTOWARE_WEIGHTS = {
     "lateral_error": 1.0,
     "heading_error": 0.0,
     "heading_error_v2": 0.3,
@@ -33,7 +33,7 @@ WEIGHTS = {
 """As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `core.controllers.kinematic_mpc`."""
 CUTOFF = 3.0
 """Hz, of the filter on the command, likewise."""
-STAGES, STEP = 50, 0.1
+AUTOWARE_STAGES, AUTOWARE_STAGE_LENGTH = 50, 0.1
 """Stages of the horizon and the length (s) of one, likewise."""
 MOST_STAGES = 100
 
@@ -47,10 +47,10 @@ class KinematicMPC(CompiledController):
     predictive control algorithm* (documentation of `autoware_mpc_lateral_controller`); J. M. Snider, *Automatic
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
 
-    weights: by name, see `WEIGHTS`, those not given as Autoware ships them; cutoff: Hz, of the second-order Butterworth
-    filter on the command, 0 for none; stages, step (s): the horizon. profile, belief, computation (s): what it knows of
-    steering, sensors and loop, as for `MPC`; period (s), preview, limits: by default the profile's, and those of the
-    belief. It does not use the lateral velocity or the yaw rate.
+    weights: by name, see `AUTOWARE_WEIGHTS`, those not given as Autoware ships them; cutoff: Hz, of the second-order
+    Butterworth filter on the command, 0 for none; stages, step (s): the horizon. profile, belief, computation (s): what
+    it knows of steering, sensors and loop, as for `MPC`; period (s), preview, limits: by default the profile's, and
+    those of the belief. It does not use the lateral velocity or the yaw rate.
 
     Raises
     ------
@@ -60,10 +60,10 @@ class KinematicMPC(CompiledController):
     """
 
     # of its weights only the ratios to that of the lateral error count
-    tuning_bounds: Mapping[str, Bounds] = {
-        **dict.fromkeys(("lateral_error", "heading_error", "steering_rate", "steering_acceleration"), FIXED),
-        **dict.fromkeys(("heading_error_v2", "steering", "steering_v2", "lateral_jerk"), DECADES),
-        **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED),
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        **dict.fromkeys(("lateral_error", "heading_error", "steering_rate", "steering_acceleration"), FIXED_TUNING),
+        **dict.fromkeys(("heading_error_v2", "steering", "steering_v2", "lateral_jerk"), TWO_DECADES),
+        **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED_TUNING),
     }
 
     @checked
@@ -72,8 +72,8 @@ class KinematicMPC(CompiledController):
         vehicle: VehicleArgument,
         *,
         cutoff: float = CUTOFF,
-        stages: int = STAGES,
-        step: float = STEP,
+        stages: int = AUTOWARE_STAGES,
+        step: float = AUTOWARE_STAGE_LENGTH,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         computation: float | None = None,
@@ -92,7 +92,7 @@ class KinematicMPC(CompiledController):
         if not 0.0 < self.step_length < math.inf:
             raise InvalidInput(f"KinematicMPC: step = {step!r} s: must be positive and finite.")
         tuning = {**_all_weights(weights), "cutoff": cutoff}
-        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.tuning_names, self.diagnostic_names = kernel.KINEMATIC_TUNING, kernel.KINEMATIC_DIAGNOSTICS
         behind = (self.pose_age + self.belief.delay) / setup.period
         self.memory_size = kernel.memory_size(self.stages, behind)
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
@@ -208,7 +208,9 @@ def kinematic_model(
 
 
 def _all_weights(given: Mapping[str, float]) -> dict[str, float]:
-    unknown = [name for name in given if name not in WEIGHTS]
+    unknown = [name for name in given if name not in AUTOWARE_WEIGHTS]
     if unknown:
-        raise InvalidInput(f"KinematicMPC: {', '.join(unknown)}: no weight of it; known are {', '.join(WEIGHTS)}.")
-    return {**WEIGHTS, **given}
+        raise InvalidInput(
+            f"KinematicMPC: {', '.join(unknown)}: no weight of it; known are {', '.join(AUTOWARE_WEIGHTS)}."
+        )
+    return {**AUTOWARE_WEIGHTS, **given}

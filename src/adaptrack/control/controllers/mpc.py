@@ -24,7 +24,7 @@ from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
-from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
+from adaptrack.control.controllers.informed import AUTO, MPCParts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
 from adaptrack.control.controllers.limits import Limits, LimitsArgument, Moves
@@ -37,13 +37,13 @@ from adaptrack.control.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
-from adaptrack.core.controllers.mpc_step import Step, form_qp, step
+from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, step
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
-from adaptrack.core.estimators.learning import BELIEF, BELIEFS, memory_of
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.schedule_step import schedule_step
-from adaptrack.core.variables import NAMES
+from adaptrack.core.variables import VARIABLE_NAMES
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -53,10 +53,10 @@ _STATUSES = {float(status): status for status in QPStatus}
 _AT_LIMIT = {float(sum_of): sum_of for sum_of in range(8)}
 """`MPCCommand.status` and `MPCCommand.at_limit` by what a kernel answers"""
 _ANSWER = 12
-"""Numbers of `core.controllers.mpc.ANSWER`; what is learned follows."""
+"""Numbers of `core.controllers.mpc.MPC_ANSWER`; what is learned follows."""
 _DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
-"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASURED`)"""
+"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
     "_schedule_step", "functions",
@@ -113,7 +113,7 @@ class MPCCommand(NamedTuple):
     dead_reckoning: float = 0.0
     """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
     learned: tuple[float, ...] = ()
-    """Learned quantities, in the order of `core.estimators.learning.BELIEFS`."""
+    """Learned quantities, in the order of `core.estimators.learning.BELIEF_NAMES`."""
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
@@ -124,22 +124,22 @@ class MPCCommand(NamedTuple):
     @property
     def belief_state(self) -> BeliefState | None:
         """How far what is learned can be trusted; None where nothing is."""
-        return BeliefState(int(self.learned[BELIEF.belief_state])) if self.learned else None
+        return BeliefState(int(self.learned[BELIEF_COLUMNS.belief_state])) if self.learned else None
 
     @property
     def belief_at_bound(self) -> str | None:
         """The quantity whose belief is at the end of its range, as `QUANTITIES_BOUNDED` names it; None: none."""
-        return bounded_quantity(self.learned[BELIEF.belief_at_bound]) if self.learned else None
+        return bounded_quantity(self.learned[BELIEF_COLUMNS.belief_at_bound]) if self.learned else None
 
 
 def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
-) -> Parts:
+) -> MPCParts:
     """A model or an estimator of the caller's, the rest as in the paper."""
     own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
     if period not in (None, own.period):
         raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
-    return Parts(Tuning(), own, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
+    return MPCParts(Tuning(), own, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
 
 
 class MPC(Controller):
@@ -262,7 +262,7 @@ class MPC(Controller):
         """Names of the diagnostics of a step: of the QP and of the learned quantities."""
         if self.learner is None:
             return _DIAGNOSTICS
-        return (*_DIAGNOSTICS, *BELIEFS)
+        return (*_DIAGNOSTICS, *BELIEF_NAMES)
 
     @property
     def first_caution(self) -> float:
@@ -319,12 +319,12 @@ class MPC(Controller):
         return isinstance(self.solver, ActiveSet | Hildreth)
 
     def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
-        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.Settings`).
+        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.MPCSettings`).
 
         longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
         residual.
         """
-        solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
+        solver, sweeps, tolerance = kernel.EXACT_ONLY, 1, 0.0
         if isinstance(self.solver, Hildreth):
             solver = {
                 "exact": kernel.HILDRETH_THEN_EXACT,
@@ -374,7 +374,7 @@ class MPC(Controller):
         )  # fmt: skip
 
     def _turning(self) -> Array:
-        """Rows that compute the moves on a curved road, `core.controllers.feed_forward.Turning`; or (0,)."""
+        """Rows that compute the moves on a curved road, `core.controllers.feed_forward.TurnIn`; or (0,)."""
         known = self.model.turning()
         return np.concatenate([known, self.estimator.tyres]) if known.size else known
 
@@ -383,8 +383,8 @@ class MPC(Controller):
         self._mpc = self.batch(1, self.settings())
         self._requested = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
-        self._names = NAMES
-        self._variables = np.zeros(len(NAMES))
+        self._names = VARIABLE_NAMES
+        self._variables = np.zeros(len(VARIABLE_NAMES))
         self._speed, self._without_speed = math.nan, 0
         self._raised = 0
         self._load()
@@ -418,7 +418,7 @@ class MPC(Controller):
         self._state = KernelInput("state", self._measured, _STATE_SIZES)
         self._known = 0  # of the state, in the last step
         self._reference = KernelInput("reference", np.zeros(self._furthest))
-        self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.NOW`
+        self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.STEP_INPUT`
         self._curved = bool(self._mpc.settings.curved)
         self._resident = Resident(self._mpc)
         self._resident_plan = None if self._plan is None else Resident(self._plan)
@@ -571,7 +571,7 @@ class MPC(Controller):
     def _compiled_step(self) -> Callable[[], None]:
         """The step behind the arguments, compiled on first use."""
         if self.in_kernel:
-            given = Step(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
+            given = MPCStep(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
             self._step = direct(step, given)
         else:
             self._step = self._step_through

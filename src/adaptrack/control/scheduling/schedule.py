@@ -29,15 +29,15 @@ from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
 from adaptrack.core import guard as guard_kernel
 from adaptrack.core import schedule as kernel
-from adaptrack.core.variables import NAMES
+from adaptrack.core.variables import VARIABLE_NAMES
 
 Array = NDArray[np.float64]
 
 HORIZONS = ("Np", "Nc")
 """Entries of the MPC that are whole numbers."""
-BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
+ENTRY_BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
 """Bounds of the entries of the MPC, where no others are given."""
-LONGEST = 1000
+MAX_HORIZON = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
 MOST_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
@@ -107,9 +107,9 @@ class Schedule:
         self._check_entries()
         if self.guard is not None and not self.of_mpc:
             raise InvalidInput("schedule: only the MPC's entries can be guarded.")
-        if max(self.largest) > LONGEST:
+        if max(self.largest) > MAX_HORIZON:
             raise InvalidInput(
-                f"schedule: asks for horizons of up to {max(self.largest)} steps, at most {LONGEST} may be."
+                f"schedule: asks for horizons of up to {max(self.largest)} steps, at most {MAX_HORIZON} may be."
             )
         if not isinstance(self.name, str) or not all(
             isinstance(record, Mapping) for record in (self.provenance, self.made_for)
@@ -179,9 +179,11 @@ class Schedule:
         return html_of(self)
 
     def plan(self, slots: int) -> Any:
-        """The schedule as the kernels read it (`core.schedule.Schedule`), with a fresh memory for `slots` runs."""
+        """The schedule for the kernels (`core.schedule.ScheduleRecord`), with a fresh memory for `slots` runs."""
         settings, integers, numbers, scratch = self._packed()
-        return kernel.Schedule(settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch))
+        return kernel.ScheduleRecord(
+            settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch)
+        )
 
     def __call__(self, variables: SchedulingVariables) -> tuple[float, ...]:
         """The tuning for some scheduling variables, as at the first step of a run; (Np, Nc, Q, R) of the MPC.
@@ -280,7 +282,7 @@ class Schedule:
 
 
 def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    array = np.zeros(1, kernel.SETTINGS)
+    array = np.zeros(1, kernel.SCHEDULE_SETTINGS)
     settings, pool = array[0], Pool()
     settings.n_inputs, settings.n_entries, settings.of_mpc = (
         len(schedule.inputs),
@@ -288,7 +290,7 @@ def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
         schedule.of_mpc,
     )
     for row, name, (low, high) in zip(settings.inputs, schedule.inputs, schedule.domain.tolist(), strict=False):
-        row.place, row.low, row.high = NAMES.index(name), low, high
+        row.place, row.low, row.high = VARIABLE_NAMES.index(name), low, high
     for row, name in zip(settings.entries, schedule.entries, strict=False):
         entry = schedule.tuning[name]
         row.kind = pool.add(entry.function, row)
@@ -296,7 +298,12 @@ def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
         row.low, row.high = entry.low, entry.high
     if schedule.guard is not None:
         schedule.guard.pack(settings.guard, pool)
-    return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + kernel.SCRATCH
+    return (
+        array,
+        np.array(pool.integers, np.int64),
+        np.array(pool.numbers, np.float64),
+        pool.scratch + kernel.SCHEDULE_SCRATCH,
+    )
 
 
 @checked
@@ -353,10 +360,10 @@ def Learned(
     """Learned functions for the entries of the MPC's tuning.
 
     functions: by entry; `log10_ratio` in place of R is the logarithm of R/Q, Q then being a number (1 when left out);
-    inputs, domain: see `Schedule`; bounds: (low, high) of each entry's value, `BOUNDS` where left out.
+    inputs, domain: see `Schedule`; bounds: (low, high) of each entry's value, `ENTRY_BOUNDS` where left out.
     """
     entry_functions = dict(functions)
-    bounds = {**BOUNDS, **(bounds or {})}
+    bounds = {**ENTRY_BOUNDS, **(bounds or {})}
     decades = "log10_ratio" in entry_functions
     if decades:
         if "R" in entry_functions:

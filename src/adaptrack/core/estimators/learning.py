@@ -28,8 +28,9 @@ Evidence about the delay counts while the hypotheses differ in their wheel angle
 that are missing, repeated to the last bit or left out by the controller's filter teach nothing.
 
 The belief is in one state at a time. A mean of the squared innovations over their variance, 1 or less for filters that
-are right, above `CONTRADICTED` says that what is measured contradicts what is believed (the NIS test: Y. Bar-Shalom,
-X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4): the variances
+are right, above `CONTRADICTION_BEGIN` says that what is measured contradicts what is believed (the NIS test: Y.
+Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4):
+the variances
 then grow to the prior's, and the evidence about the delay is forgotten. A quantity whose mean is at the end of its
 range is reported as uncertain as before the first sample, however small the variance of the filters.
 
@@ -45,16 +46,16 @@ from ..kernel import columns, exported, float64, inlined, int64, local, record, 
 from ..maths.bits import two_to, whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import exp, log
-from ..maths.vectors import WIDTH
+from ..maths.vectors import VECTOR_WIDTH
 from ..models import path
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..plants.forces import GRAVITY
 from . import kalman
-from .contract import ABSURD
+from .contract import IMPOSSIBLE_SIGNAL
 from .extended_kalman import bounded, carry, correct, scatter
 from .learning_method import LearningMethod
 
-Numbers = record("Numbers", (
+LearnerParameters = record("LearnerParameters", (
     ("method", LearningMethod),  # its bias is the bound of |b|
     "period",  # s
     "computation",  # s, from a measurement until its command is given
@@ -76,12 +77,12 @@ Numbers = record("Numbers", (
     "evidence_share", "contradiction_share", "return_share", "doubt_share", "noise_share",  # of a period in each time
     "max_delay_step",  # s per period, by which the lag and the dead time in use change at most
     "max_stiffness_step", "max_bias_step",  # 1 and rad per period, likewise
-    ("variance", (float64, kalman.SENSORS)),  # of the sensors, as given; inf: none
+    ("variance", (float64, kalman.SENSOR_COUNT)),  # of the sensors, as given; inf: none
 ))  # fmt: skip
 """The parameters."""
-parameters_of = viewer(Numbers)
+parameters_of = viewer(LearnerParameters)
 
-BELIEFS = (
+BELIEF_NAMES = (
     "belief_lag", "belief_lag_sigma", "belief_dead_time", "belief_dead_time_sigma",  # s
     "belief_delay", "belief_delay_sigma",  # s, lag and dead time together
     "belief_stiffness", "belief_stiffness_sigma",  # factor on what is known, sigma of its logarithm
@@ -91,29 +92,41 @@ BELIEFS = (
     "belief_friction", "belief_friction_sigma",  # sigma of its logarithm
     "belief_noise",  # of the yaw rate, over what was given
     "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
-    "belief_state", "belief_at_bound",  # `LEARNING`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
+    "belief_state", "belief_at_bound",  # `LEARNING_BELIEF`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
 QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
 LAG_BOUND, DEAD_TIME_BOUND, STIFFNESS_BOUND, BALANCE_BOUND, BIAS_BOUND = range(5)
 """Whose ranges have ends."""
-LEARNING, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
+LEARNING_BELIEF, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
 """States of the belief; of those that apply the last one counts."""
-CONTRADICTED, AGREED = 3.0, 1.5
+CONTRADICTION_BEGIN, CONTRADICTION_END = 3.0, 1.5
 """Mean of squared innovations over their variance at which a contradiction begins, and ends."""
 CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
 """Standard deviations of the delay (s) and of s, in the filters, below both of which the belief settles, and above one
 of which it does so no longer."""
 RIGID = 1.3
 """Logarithm of the factor on the stiffness from which on a car turns as if its tyres did not slip."""
-NEAR, AWAY = 0.01, 0.03
+BOUND_ENTRY_SHARE, BOUND_EXIT_SHARE = 0.01, 0.03
 """Shares of a range within which of its end a mean is at the bound, and beyond which no longer."""
-BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
+BELIEF_COLUMNS, Beliefs = columns(*BELIEF_NAMES), record("Beliefs", BELIEF_NAMES)
 
-STATES = 11
-VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION, LAG, DEAD_TIME, OFFSET = range(STATES)
+LEARNER_STATES = 11
+(
+    LATERAL_VELOCITY,
+    YAW_RATE,
+    WIND_FORCE,
+    BIAS,
+    BANK,
+    STIFFNESS_SCALE,
+    BALANCE,
+    FRICTION,
+    STEERING_LAG,
+    DEAD_TIME,
+    OFFSET,
+) = range(LEARNER_STATES)
 """Places in x; the dead time with the computation."""
-_ROW = 2 * WIDTH
+_ROW = 2 * VECTOR_WIDTH
 """x and the rows of its covariance are padded to so many."""
 
 Memory = record("Memory", (
@@ -123,15 +136,15 @@ Memory = record("Memory", (
     "bias_before",  # rad, bias in the controller's filter
     "disagreement",  # mean of squared innovations over their variance
     "doubt",  # 0 to 1, of what is at a bound or contradicted: by which R is raised
-    ("noise", (float64, kalman.SENSORS)),  # variances of the sensors as learned
-    ("noise_count", (float64, kalman.SENSORS)),  # from so many samples
-    ("last", (float64, kalman.SENSORS)), ("second_last", (float64, kalman.SENSORS)),
-    ("third_last", (float64, kalman.SENSORS)),  # samples
+    ("noise", (float64, kalman.SENSOR_COUNT)),  # variances of the sensors as learned
+    ("noise_count", (float64, kalman.SENSOR_COUNT)),  # from so many samples
+    ("last", (float64, kalman.SENSOR_COUNT)), ("second_last", (float64, kalman.SENSOR_COUNT)),
+    ("third_last", (float64, kalman.SENSOR_COUNT)),  # samples
 ))  # fmt: skip
 """What the memory begins with; the commands that were sent follow, then the hypotheses."""
 memory_of = viewer(Memory)
-ANSWER = 0
-"""Place in the memory of `BELIEFS`."""
+BELIEFS_OFFSET = 0
+"""Place in the memory of `BELIEF_NAMES`."""
 _SENT = size_of(Memory)
 
 Hypothesis = record("Hypothesis", (
@@ -139,22 +152,22 @@ Hypothesis = record("Hypothesis", (
     "swept", "swept_by_lag",  # both integrated over the last period
     "disagreement",  # squared innovations over their variance, mean of the sensors at the last sample
     "evidence", "weight",  # logarithm of its likelihood; weight in the mixture
-    ("x", (float64, _ROW)), ("covariance", (float64, STATES, _ROW)),
+    ("x", (float64, _ROW)), ("covariance", (float64, LEARNER_STATES, _ROW)),
 ))  # fmt: skip
 """A filter."""
 _hypothesis, _HYPOTHESIS = viewer(Hypothesis), size_of(Hypothesis)
 
-Axle = record("Axle", ("slip", "force", "by_slip", "by_friction"))
+AxleForce = record("AxleForce", ("slip", "force", "by_slip", "by_friction"))
 """Slip angle (rad) of an axle, its force over the mass (m/s^2), and the force's derivatives over slip and ln mu."""
 
-_states, _motion, _sensors = local(_ROW), local(2, _ROW), local(kalman.SENSORS)
-_TAKEN_IN = (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration, MEASURED.wheel_angle)
+_states, _motion, _sensors = local(_ROW), local(2, _ROW), local(kalman.SENSOR_COUNT)
+_TAKEN_IN = (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration, MEASUREMENT.wheel_angle)
 """Sensors, in the order in which a hypothesis takes them in."""
 SHORTEST_LAG = 0.02
 """s, a lag that makes no difference at a control period of 0.05 s: the least that is sought where nobody says more."""
-SLOWEST = 2.0
+MIN_LEARNING_SPEED = 2.0
 """m/s, below which nothing is learned."""
-UNKNOWN = 0.1
+UNKNOWN_MOTION_VARIANCE = 0.1
 """(m/s)^2 and (rad/s)^2, variances of a motion that is not known."""
 LEAST_DIFFERENCE = 5e-4
 """rad, root mean square by which wheel angles of hypotheses differ where their evidence counts."""
@@ -167,8 +180,8 @@ LIVELY, SETTLED = 3.0, 8
 _TERMS = 7
 
 LEARN = void(float64, vector, float64, int64, vector, vector)
-"""``learn(speed, measured, command, left_out, parameters, memory)``: take in what was measured (`MEASURED`) at a speed
-(m/s) and the command (rad) of a period ago; left_out: 1 + a sensor not to be believed, 0: none."""
+"""``learn(speed, measured, command, left_out, parameters, memory)``: take in what was measured (`MEASUREMENT`) at a
+speed (m/s) and the command (rad) of a period ago; left_out: 1 + a sensor not to be believed, 0: none."""
 
 BELIEVE = void(vector, vector, vector, vector, vector)
 """``believe(parameters, memory, model, own, remembered)``: let model and filter of the controller believe what is
@@ -189,7 +202,7 @@ def hypothesis(i, kept, memory):
 @inlined
 def _steer(own, time, rate, command):
     """Let the wheels of a hypothesis follow a command for a time (s)."""
-    lag, angle, slope = own.x[LAG], own.wheels, own.by_lag
+    lag, angle, slope = own.x[STEERING_LAG], own.wheels, own.by_lag
     gap = command - angle
     if abs(gap) > rate * lag:
         limited = min(time, abs(gap) / rate - lag)
@@ -225,7 +238,7 @@ def _axle(slip, stiffness, most):
     x = stiffness * slip / most
     root = 1.0 / sqrt(1.0 + x * x)
     force, by_slip = most * x * root, stiffness * root * root * root
-    return Axle(slip, force, by_slip, force - by_slip * slip)
+    return AxleForce(slip, force, by_slip, force - by_slip * slip)
 
 
 @inlined
@@ -233,9 +246,9 @@ def _axles(own, speed, angle, p):
     """Front and rear axle at a wheel angle (rad)."""
     x = own.x
     grip = GRAVITY * exp(x[FRICTION]) / (p.lf + p.lr)
-    factor, balance = exp(x[STIFFNESS]), exp(x[BALANCE])
-    slip_front = angle + x[BIAS] - (x[VY] + p.lf * x[RATE]) / speed
-    slip_rear = -(x[VY] - p.lr * x[RATE]) / speed
+    factor, balance = exp(x[STIFFNESS_SCALE]), exp(x[BALANCE])
+    slip_front = angle + x[BIAS] - (x[LATERAL_VELOCITY] + p.lf * x[YAW_RATE]) / speed
+    slip_rear = -(x[LATERAL_VELOCITY] - p.lr * x[YAW_RATE]) / speed
     front = _axle(slip_front, p.stiffness_front / p.mass * factor * balance, grip * p.lr)
     rear = _axle(slip_rear, p.stiffness_rear / p.mass * factor / balance, grip * p.lf)
     return front, rear
@@ -251,12 +264,12 @@ def _accelerations(front, rear, p):
 def _derive(front, rear, speed, by_lag, by_dead_time, p, of_front, of_rear):
     """Write the derivatives of both axles' forces over x; by_lag, by_dead_time: those of the wheel angle (rad/s)."""
     slope = front.by_slip
-    of_front[VY], of_front[RATE], of_front[BIAS] = -slope / speed, -p.lf * slope / speed, slope
-    of_front[LAG], of_front[DEAD_TIME] = slope * by_lag, slope * by_dead_time
-    of_front[STIFFNESS], of_front[BALANCE] = slope * front.slip, slope * front.slip
+    of_front[LATERAL_VELOCITY], of_front[YAW_RATE], of_front[BIAS] = -slope / speed, -p.lf * slope / speed, slope
+    of_front[STEERING_LAG], of_front[DEAD_TIME] = slope * by_lag, slope * by_dead_time
+    of_front[STIFFNESS_SCALE], of_front[BALANCE] = slope * front.slip, slope * front.slip
     slope = rear.by_slip
-    of_rear[VY], of_rear[RATE] = -slope / speed, p.lr * slope / speed
-    of_rear[STIFFNESS], of_rear[BALANCE] = slope * rear.slip, -slope * rear.slip
+    of_rear[LATERAL_VELOCITY], of_rear[YAW_RATE] = -slope / speed, p.lr * slope / speed
+    of_rear[STIFFNESS_SCALE], of_rear[BALANCE] = slope * rear.slip, -slope * rear.slip
     of_front[FRICTION], of_rear[FRICTION] = front.by_friction, rear.by_friction
 
 
@@ -306,28 +319,36 @@ def _predict_state(own, speed, by_dead_time, p, mixed):
     front, rear = _axles(own, speed, own.swept / h, p)
     _derive(front, rear, speed, own.swept_by_lag / h, by_dead_time, p, of_front, of_rear)
     pull, turn = _accelerations(front.force, rear.force, p)
-    rate_vy, rate_r = pull - speed * x[RATE] + x[WIND] + x[BANK], turn + p.wind_turn * x[WIND]
-    vy_by_vy, r_by_vy = _accelerations(of_front[VY], of_rear[VY], p)
-    vy_by_r, r_by_r = _accelerations(of_front[RATE], of_rear[RATE], p)
+    rate_vy, rate_r = pull - speed * x[YAW_RATE] + x[WIND_FORCE] + x[BANK], turn + p.wind_turn * x[WIND_FORCE]
+    vy_by_vy, r_by_vy = _accelerations(of_front[LATERAL_VELOCITY], of_rear[LATERAL_VELOCITY], p)
+    vy_by_r, r_by_r = _accelerations(of_front[YAW_RATE], of_rear[YAW_RATE], p)
     vv, vr, rv, rr = _phi1(h * vy_by_vy, h * (vy_by_r - speed), h * r_by_vy, h * r_by_r)
     more_vy, more_r = h * (vv * rate_vy + vr * rate_r), h * (rv * rate_vy + rr * rate_r)
     # stiffness acts on the force in the middle of the period
-    middle_front = 0.5 * (of_front[VY] * more_vy + of_front[RATE] * more_r)
-    middle_rear = 0.5 * (of_rear[VY] * more_vy + of_rear[RATE] * more_r)
-    of_front[STIFFNESS] += middle_front
+    middle_front = 0.5 * (of_front[LATERAL_VELOCITY] * more_vy + of_front[YAW_RATE] * more_r)
+    middle_rear = 0.5 * (of_rear[LATERAL_VELOCITY] * more_vy + of_rear[YAW_RATE] * more_r)
+    of_front[STIFFNESS_SCALE] += middle_front
     of_front[BALANCE] += middle_front
-    of_rear[STIFFNESS] += middle_rear
+    of_rear[STIFFNESS_SCALE] += middle_rear
     of_rear[BALANCE] -= middle_rear
-    mixed[VY, RATE], mixed[VY, WIND], mixed[RATE, WIND], mixed[VY, BANK] = -speed, 1.0, p.wind_turn, 1.0
-    for state in range(STATES):
+    (
+        mixed[LATERAL_VELOCITY, YAW_RATE],
+        mixed[LATERAL_VELOCITY, WIND_FORCE],
+        mixed[YAW_RATE, WIND_FORCE],
+        mixed[LATERAL_VELOCITY, BANK],
+    ) = -speed, 1.0, p.wind_turn, 1.0
+    for state in range(LEARNER_STATES):
         pull, turn = _accelerations(of_front[state], of_rear[state], p)
-        by_vy, by_r = mixed[VY, state] + pull, mixed[RATE, state] + turn
-        mixed[VY, state], mixed[RATE, state] = h * (vv * by_vy + vr * by_r), h * (rv * by_vy + rr * by_r)
-    mixed[VY, VY] += 1.0
-    mixed[RATE, RATE] += 1.0
-    x[VY] += more_vy
-    x[RATE] += more_r
-    x[WIND] *= p.wind_left
+        by_vy, by_r = mixed[LATERAL_VELOCITY, state] + pull, mixed[YAW_RATE, state] + turn
+        mixed[LATERAL_VELOCITY, state], mixed[YAW_RATE, state] = (
+            h * (vv * by_vy + vr * by_r),
+            h * (rv * by_vy + rr * by_r),
+        )
+    mixed[LATERAL_VELOCITY, LATERAL_VELOCITY] += 1.0
+    mixed[YAW_RATE, YAW_RATE] += 1.0
+    x[LATERAL_VELOCITY] += more_vy
+    x[YAW_RATE] += more_r
+    x[WIND_FORCE] *= p.wind_left
     x[BANK] *= p.bank_left
     x[FRICTION] = p.usual_friction + p.friction_left * (x[FRICTION] - p.usual_friction)
     return front.force, rear.force
@@ -337,45 +358,45 @@ def _predict_state(own, speed, by_dead_time, p, mixed):
 def _predict_covariance(own, mixed, f, g, p):
     """P = F P F' + drift; f, g: forces of the axles over the mass (m/s^2)."""
     P, kept = own.covariance, _states()
-    for state in range(STATES):
+    for state in range(LEARNER_STATES):
         kept[state] = 1.0
-    kept[WIND], kept[BANK], kept[FRICTION] = p.wind_left, p.bank_left, p.friction_left
+    kept[WIND_FORCE], kept[BANK], kept[FRICTION] = p.wind_left, p.bank_left, p.friction_left
     carry(mixed, kept, P, _motion())
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
     sliding = square(p.method.sliding) * p.period
     by_front, by_rear = sliding * front * front, sliding * rear * rear
     both = turning * (p.lf * by_front - p.lr * by_rear)
-    P[VY, VY] += p.drift_vy + by_front + by_rear
-    P[VY, RATE] += both
-    P[RATE, VY] += both
-    P[RATE, RATE] += p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
-    P[WIND, WIND] += p.drift_wind
+    P[LATERAL_VELOCITY, LATERAL_VELOCITY] += p.drift_vy + by_front + by_rear
+    P[LATERAL_VELOCITY, YAW_RATE] += both
+    P[YAW_RATE, LATERAL_VELOCITY] += both
+    P[YAW_RATE, YAW_RATE] += p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
+    P[WIND_FORCE, WIND_FORCE] += p.drift_wind
     P[BANK, BANK] += p.drift_bank
     P[FRICTION, FRICTION] += p.drift_friction
     if abs(f + g) > LEAST_PULL:
         P[BIAS, BIAS] += p.drift_bias
-        P[STIFFNESS, STIFFNESS] += p.drift_stiffness
+        P[STIFFNESS_SCALE, STIFFNESS_SCALE] += p.drift_stiffness
         P[BALANCE, BALANCE] += p.drift_balance
-        P[LAG, LAG] += p.drift_delay
+        P[STEERING_LAG, STEERING_LAG] += p.drift_delay
         P[DEAD_TIME, DEAD_TIME] += p.drift_delay
 
 
 @inlined
 def _reading(sensor, own, speed, by_dead_time, p, h):
     """What a sensor reads of x; h: its derivatives over x. by_dead_time: derivative of the wheel angle (rad/s)."""
-    if sensor == MEASURED.lateral_acceleration:  # F_f + F_r + w
+    if sensor == MEASUREMENT.lateral_acceleration:  # F_f + F_r + w
         of_front, of_rear = _states(), _states()
         front, rear = _axles(own, speed, own.wheels, p)
         _derive(front, rear, speed, own.by_lag, by_dead_time, p, of_front, of_rear)
-        for state in range(STATES):
+        for state in range(LEARNER_STATES):
             h[state] = of_front[state] + of_rear[state]
-        h[WIND] = 1.0
-        return front.force + rear.force + own.x[WIND]
-    if sensor == MEASURED.wheel_angle:  # delta + o
-        h[LAG], h[DEAD_TIME], h[OFFSET] = own.by_lag, by_dead_time, 1.0
+        h[WIND_FORCE] = 1.0
+        return front.force + rear.force + own.x[WIND_FORCE]
+    if sensor == MEASUREMENT.wheel_angle:  # delta + o
+        h[STEERING_LAG], h[DEAD_TIME], h[OFFSET] = own.by_lag, by_dead_time, 1.0
         return own.wheels + own.x[OFFSET]
-    state = VY if sensor == MEASURED.vy else RATE
+    state = LATERAL_VELOCITY if sensor == MEASUREMENT.vy else YAW_RATE
     h[state] = 1.0
     return own.x[state]
 
@@ -396,11 +417,11 @@ def _take_in(sensor, value, variance, own, speed, by_dead_time, p):
 def _bound(own, p):
     """Keep what is learned within what was given."""
     x = own.x
-    x[STIFFNESS] = clip(x[STIFFNESS], -p.most_stiffness, p.most_stiffness)
+    x[STIFFNESS_SCALE] = clip(x[STIFFNESS_SCALE], -p.most_stiffness, p.most_stiffness)
     x[BALANCE] = clip(x[BALANCE], -p.most_balance, p.most_balance)
     x[BIAS] = clip(x[BIAS], -p.method.bias, p.method.bias)
     x[FRICTION] = clip(x[FRICTION], -2.5, 0.5)
-    x[LAG] = clip(x[LAG], p.least_lag, p.most_lag)
+    x[STEERING_LAG] = clip(x[STEERING_LAG], p.least_lag, p.most_lag)
     x[DEAD_TIME] = p.computation + clip(x[DEAD_TIME] - p.computation, p.least_dead_time, p.most_dead_time)
 
 
@@ -435,11 +456,11 @@ def _learn_noise(sensor, p, measured, m):
 @inlined
 def _lose_motion(own):
     """Know no more of the motion of the car."""
-    for state in range(WIND):
+    for state in range(WIND_FORCE):
         own.x[state] = 0.0
-        for j in range(STATES):
+        for j in range(LEARNER_STATES):
             own.covariance[state, j], own.covariance[j, state] = 0.0, 0.0
-        own.covariance[state, state] = UNKNOWN
+        own.covariance[state, state] = UNKNOWN_MOTION_VARIANCE
 
 
 @inlined
@@ -448,13 +469,13 @@ def _begin(p, measured, command, m, memory):
     sent = memory[_SENT:]
     for i in range(whole(p.kept)):
         sent[i] = command
-    for sensor in range(kalman.SENSORS):
+    for sensor in range(kalman.SENSOR_COUNT):
         m.last[sensor], m.second_last[sensor], m.third_last[sensor] = measured[sensor], math.nan, math.nan
     for i in range(whole(p.hypotheses)):
         own = hypothesis(i, p.kept, memory)
         own.wheels, own.by_lag = command, 0.0
         _lose_motion(own)
-        for state, sensor in ((VY, MEASURED.vy), (RATE, MEASURED.yaw_rate)):
+        for state, sensor in ((LATERAL_VELOCITY, MEASUREMENT.vy), (YAW_RATE, MEASUREMENT.yaw_rate)):
             own.x[state] = measured[sensor] if math.isfinite(measured[sensor]) else 0.0
 
 
@@ -541,13 +562,13 @@ def _find_bound(p, m, memory):
     was, found = m.beliefs.belief_at_bound, 0.0
     for quantity in range(len(QUANTITIES_BOUNDED)):
         if quantity == LAG_BOUND:
-            value, low, high = _mean(LAG, p, memory), p.least_lag, p.most_lag
+            value, low, high = _mean(STEERING_LAG, p, memory), p.least_lag, p.most_lag
             low = low if low > SHORTEST_LAG else -math.inf
         elif quantity == DEAD_TIME_BOUND:
             value, low, high = _mean(DEAD_TIME, p, memory) - p.computation, p.least_dead_time, p.most_dead_time
             low = low if low > 0.0 else -math.inf
         elif quantity == STIFFNESS_BOUND:
-            value, high = _mean(STIFFNESS, p, memory), p.most_stiffness
+            value, high = _mean(STIFFNESS_SCALE, p, memory), p.most_stiffness
             value, low = min(value, 0.0) if high > RIGID else value, -high
         elif quantity == BALANCE_BOUND:
             value, high = _mean(BALANCE, p, memory), p.most_balance
@@ -555,7 +576,7 @@ def _find_bound(p, m, memory):
         else:
             value, high = _mean(BIAS, p, memory), p.method.bias
             low = -high
-        share = AWAY if was == 1.0 + quantity else NEAR
+        share = BOUND_EXIT_SHARE if was == 1.0 + quantity else BOUND_ENTRY_SHARE
         width = 2.0 * high if low == -math.inf else high - low
         at_end = min(value - low, high - value) < share * width
         if width > 0.0 and at_end and (found == 0.0 or was == 1.0 + quantity):
@@ -568,14 +589,14 @@ def _find_state(p, m, memory):
     """The state of the belief, and the doubt at a bound."""
     b, was = m.beliefs, whole(m.beliefs.belief_state)
     b.belief_at_bound = _find_bound(p, m, memory)
-    both = _covariance(LAG, LAG, p, memory) + _covariance(DEAD_TIME, DEAD_TIME, p, memory)
-    delay = sqrt(max(both + 2.0 * _covariance(LAG, DEAD_TIME, p, memory), 0.0))
-    stiffness = sqrt(max(_covariance(STIFFNESS, STIFFNESS, p, memory), 0.0))
-    most_delay, most_stiffness = CERTAIN if was == LEARNING else UNCERTAIN
-    b.belief_state = SETTLED_BELIEF if delay < most_delay and stiffness < most_stiffness else LEARNING
+    both = _covariance(STEERING_LAG, STEERING_LAG, p, memory) + _covariance(DEAD_TIME, DEAD_TIME, p, memory)
+    delay = sqrt(max(both + 2.0 * _covariance(STEERING_LAG, DEAD_TIME, p, memory), 0.0))
+    stiffness = sqrt(max(_covariance(STIFFNESS_SCALE, STIFFNESS_SCALE, p, memory), 0.0))
+    most_delay, most_stiffness = CERTAIN if was == LEARNING_BELIEF else UNCERTAIN
+    b.belief_state = SETTLED_BELIEF if delay < most_delay and stiffness < most_stiffness else LEARNING_BELIEF
     if b.belief_at_bound > 0.0:
         b.belief_state = AT_BOUND
-    if m.disagreement > (AGREED if was == CONTRADICTORY else CONTRADICTED):
+    if m.disagreement > (CONTRADICTION_END if was == CONTRADICTORY else CONTRADICTION_BEGIN):
         b.belief_state = CONTRADICTORY
     m.doubt += p.doubt_share * ((1.0 if b.belief_state >= AT_BOUND else 0.0) - m.doubt)
 
@@ -586,9 +607,9 @@ def _return_to_prior(p, memory):
     for i in range(whole(p.hypotheses)):
         own = hypothesis(i, p.kept, memory)
         own.evidence *= 1.0 - p.return_share
-        _grow(LAG, p.prior_lag, own, p)
+        _grow(STEERING_LAG, p.prior_lag, own, p)
         _grow(DEAD_TIME, p.prior_dead_time, own, p)
-        _grow(STIFFNESS, p.prior_stiffness, own, p)
+        _grow(STIFFNESS_SCALE, p.prior_stiffness, own, p)
         _grow(BALANCE, 0.5 * p.prior_balance, own, p)
         _grow(BIAS, p.prior_bias, own, p)
 
@@ -604,20 +625,20 @@ def _write_beliefs(p, m, memory):
     """Write what is learned, and let what the controller believes follow it."""
     b, method = m.beliefs, p.method
     _find_state(p, m, memory)
-    lag, of_lag = _moments(LAG, p, memory)
+    lag, of_lag = _moments(STEERING_LAG, p, memory)
     dead_time, of_dead_time = _moments(DEAD_TIME, p, memory)
-    stiffness, of_stiffness = _moments(STIFFNESS, p, memory)
+    stiffness, of_stiffness = _moments(STIFFNESS_SCALE, p, memory)
     balance, of_balance = _moments(BALANCE, p, memory)
     bias, of_bias = _moments(BIAS, p, memory)
     bank, of_bank = _moments(BANK, p, memory)
     friction, of_friction = _moments(FRICTION, p, memory)
-    both = _covariance(LAG, DEAD_TIME, p, memory)
+    both = _covariance(STEERING_LAG, DEAD_TIME, p, memory)
     variance = max(of_lag + of_dead_time + 2.0 * both, 1e-8)
     sigma, dead_time = sqrt(variance), dead_time - p.computation
     b.belief_lag, b.belief_dead_time, b.belief_delay = lag, dead_time, lag + dead_time
     b.belief_stiffness, b.belief_balance, b.belief_bias = exp(stiffness), exp(2.0 * balance), bias
     b.belief_bank, b.belief_friction = bank, exp(friction)
-    b.belief_noise = sqrt(m.noise[MEASURED.yaw_rate] / p.variance[MEASURED.yaw_rate])
+    b.belief_noise = sqrt(m.noise[MEASUREMENT.yaw_rate] / p.variance[MEASUREMENT.yaw_rate])
     b.belief_lag_sigma = _widened(of_lag, method.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
     b.belief_dead_time_sigma = _widened(
         of_dead_time, method.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m
@@ -656,7 +677,7 @@ def _advance(own, speed, age, measured, variance, p, memory):
     mixed, by_dead_time = _motion(), (before - own.wheels) / p.period
     f, g = _predict_state(own, speed, by_dead_time, p, mixed)
     _predict_covariance(own, mixed, f, g, p)
-    lag, dead_time, likelihood, taken_in = own.x[LAG], own.x[DEAD_TIME], 0.0, 0.0
+    lag, dead_time, likelihood, taken_in = own.x[STEERING_LAG], own.x[DEAD_TIME], 0.0, 0.0
     own.disagreement = 0.0
     for sensor in _TAKEN_IN:
         if variance[sensor] < math.inf:
@@ -664,7 +685,7 @@ def _advance(own, speed, age, measured, variance, p, memory):
             likelihood += _take_in(sensor, measured[sensor], variance[sensor], own, speed, by_dead_time, p)
     own.disagreement = own.disagreement / taken_in if taken_in > 0.0 else math.nan
     _bound(own, p)
-    own.wheels += own.by_lag * (own.x[LAG] - lag) + by_dead_time * (own.x[DEAD_TIME] - dead_time)
+    own.wheels += own.by_lag * (own.x[STEERING_LAG] - lag) + by_dead_time * (own.x[DEAD_TIME] - dead_time)
     return likelihood
 
 
@@ -693,15 +714,15 @@ def learn(speed, measured, command, left_out, parameters, memory):
     sent, latest = memory[_SENT:], command
     for i in range(whole(p.kept)):
         sent[i], latest = latest, sent[i]
-    age = measured[MEASURED.motion_age]
-    age = age if 0.0 < age < ABSURD else 0.0
-    m.slow = 0.0 if abs(speed) >= SLOWEST and math.isfinite(speed) else 1.0
+    age = measured[MEASUREMENT.motion_age]
+    age = age if 0.0 < age < IMPOSSIBLE_SIGNAL else 0.0
+    m.slow = 0.0 if abs(speed) >= MIN_LEARNING_SPEED and math.isfinite(speed) else 1.0
     variance = _sensors()
-    for sensor in range(kalman.SENSORS):
+    for sensor in range(kalman.SENSOR_COUNT):
         usable = _is_usable(sensor, left_out, p, measured, m)
         _learn_noise(sensor, p, measured, m)
         variance[sensor] = m.noise[sensor] if usable else math.inf
-    variance[MEASURED.wheel_angle] += square(p.method.angle_error)
+    variance[MEASUREMENT.wheel_angle] += square(p.method.angle_error)
     if m.slow > 0.5:
         _creep(age, p, memory)
         return
@@ -758,9 +779,9 @@ def believe(parameters, memory, model, own, remembered):
         more = filtering.bias - m.bias_before
         kalman.shift_bias(more, 2.0 * front / p.mass, 2.0 * front * p.lf / p.yaw_inertia, remembered)
     m.bias_before = filtering.bias
-    for sensor in range(kalman.SENSORS):
+    for sensor in range(kalman.SENSOR_COUNT):
         known = p.variance[sensor]
         filtering.variance[sensor] = m.noise[sensor] if known < math.inf else known
     unknown = p.method.wheel_drift_rate * b.belief_delay_sigma / p.method.sigma_inflation
-    filtering.drift[kalman.STATE.wheel_angle] = p.drift_wheels + unknown * unknown * p.period
+    filtering.drift[kalman.FILTER_STATE.wheel_angle] = p.drift_wheels + unknown * unknown * p.period
     kalman.forget_speed(remembered)

@@ -17,7 +17,7 @@ from .bits import ROUNDER, bits_of, left, negative, right, signed_if, two_to
 from .exact import sqrt
 from .polynomial import eleven, halves, six, twelve
 
-LARGEST = 1e5
+MAX_NEAR_ANGLE = 1e5
 """rad; up to it `_near` reduces an argument"""
 
 _TINY = 2.0**-28  # below it sin(x) = tan(x) = asin(x) = x
@@ -223,7 +223,7 @@ def _far(x):
 @inlined
 def _reduced(x):
     """`_near` or `_far`; of what is not finite, NaN."""
-    if abs(x) <= LARGEST or not abs(x) < math.inf:
+    if abs(x) <= MAX_NEAR_ANGLE or not abs(x) < math.inf:
         return _near(x)
     return _far(x)
 

@@ -8,8 +8,8 @@ from ..kernel import Row, exported, float64, inlined, int64, record, several
 from ..maths.decimal import to_digits, to_places
 from ..plants.forces import GRAVITY
 
-Car = record(
-    "Car",
+CarRow = record(
+    "CarRow",
     (
         "mass",  # kg
         "yaw_inertia",  # kg m^2
@@ -22,10 +22,10 @@ Car = record(
     ),
 )  # fmt: skip
 """NaN: not given, see `complete_car`. Track and height are the plant's; no controller uses them."""
-Steering = record("Steering", ("lag", "dead_time", "rate", "limit"))
+SteeringRow = record("SteeringRow", ("lag", "dead_time", "rate", "limit"))
 """s, s, rad/s and rad at the road wheels; NaN: nothing is said."""
-KnownWithin = record(
-    "KnownWithin",
+KnownWithinRow = record(
+    "KnownWithinRow",
     (
         "said",  # 1: the numbers of the car come with how well they are known, 0: nobody says
         "mass", "yaw_inertia", "stiffness_front", "stiffness_rear",  # factors
@@ -65,7 +65,7 @@ BodyStyle = record(
     ),
 )  # fmt: skip
 """What measured cars of a kind have in common."""
-PASSENGER_CAR = BodyStyle(1.09, 1.15, 0.548, 0.05, 1.229, 1.97e-4, 0.06, 2.1)
+PASSENGER_BODY = BodyStyle(1.09, 1.15, 0.548, 0.05, 1.229, 1.97e-4, 0.06, 2.1)
 TRUCK = BodyStyle(1.00, 1.15, 0.667, 0.12, 1.229, 1.97e-4, 0.15, 2.7)
 """Passenger cars; pickups, vans and sport utility vehicles.
 
@@ -104,7 +104,7 @@ def _place_axles(wheelbase, car):
     return 0.0 < car.lf < wheelbase and abs(car.lf + car.lr - wheelbase) < MILLIMETRES
 
 
-@exported(int64(float64, float64, int64, Row(Car), Row(KnownWithin)))
+@exported(int64(float64, float64, int64, Row(CarRow), Row(KnownWithinRow)))
 def complete_car(wheelbase, load, truck, car, within):
     """Estimate what is NaN in a car from its mass and wheelbase (m), and write how well that is known to `within`.
 
@@ -115,7 +115,7 @@ def complete_car(wheelbase, load, truck, car, within):
     centre of gravity; truck: 1: pickup, van or sport utility vehicle. The mass holds the load afterwards. Answers
     `COMPLETE`, or what does not fit: then nothing is written.
     """
-    mass, style = car.mass, TRUCK if truck > 0 else PASSENGER_CAR
+    mass, style = car.mass, TRUCK if truck > 0 else PASSENGER_BODY
     if not MASSES[0] <= mass <= MASSES[1]:
         return MASS_OUTSIDE
     if not WHEELBASES[0] <= wheelbase <= WHEELBASES[1]:
@@ -170,7 +170,7 @@ def static_loads(mass, lf, lr):
     return per_length * lr, per_length * lf
 
 
-@exported(several(int64, float64)(Row(Car)))
+@exported(several(int64, float64)(Row(CarRow)))
 def car_flaw(car):
     """`ONE_CAR`, or which number is in another unit than the others, and its ratio, see `INERTIAS`."""
     index = car.yaw_inertia / (car.mass * car.lf * car.lr)
@@ -185,7 +185,7 @@ def car_flaw(car):
     return ONE_CAR, index
 
 
-@exported(float64(Row(Car)))
+@exported(float64(Row(CarRow)))
 def wind_turn(car):
     """d_r over d_y (1/m) of side wind: L C_ym m/(C_s I_z), 0 for a body that feels none."""
     if car.side_force_slope == 0.0:
@@ -194,7 +194,7 @@ def wind_turn(car):
     return arm * car.mass / car.yaw_inertia
 
 
-@exported(float64(Row(Car)))
+@exported(float64(Row(CarRow)))
 def understeer_gradient(car):
     """K (rad s^2/m) = m (l_r/(2 C_f) - l_f/(2 C_r))/L (Rajamani, *Vehicle Dynamics and Control*, section 3.3)."""
     return car.mass / (car.lf + car.lr) * (car.lr / (2.0 * car.stiffness_front) - car.lf / (2.0 * car.stiffness_rear))

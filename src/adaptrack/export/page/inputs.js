@@ -329,12 +329,12 @@ const inputs = (() => {
     const at = road.lines?.[place] === undefined ? `point ${place + 1}` : `line ${road.lines[place]}`;
     const sentences = {
       TOO_FEW: `${place} points apart from each other: a road needs at least ${rules.fewest}.`,
-      NOT_FINITE: `${at}: x or y is not a finite number; correct or remove the point.`,
-      TOO_FAR:
+      POINT_NOT_FINITE: `${at}: x or y is not a finite number; correct or remove the point.`,
+      POINT_TOO_FAR:
         `${at}: lies more than ${rules.widest} m from the next point, or ${rules.farthest} m from the origin; ` +
         "correct it, or leave it out.",
       TOO_SHORT: "The points are too near one another: are x and y in metres?",
-      KINK:
+      PATH_KINK:
         `${at}: the points fold back on themselves behind it, no smooth road goes through them; ` +
         "leave out or move the points there.",
       TOO_SMALL: `${at}: the road bends too much between two points; give more points there.`,

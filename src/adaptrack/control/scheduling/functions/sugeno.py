@@ -27,7 +27,7 @@ Integers = NDArray[np.intp]
 
 ANY = -1
 """In a rule: this input does not matter."""
-WIDTH, SLOPE, CENTRE = range(3)
+BELL_WIDTH, BELL_SLOPE, BELL_CENTRE = range(3)
 """Columns of the premises."""
 FARTHEST = 1e150
 """Widths from the centre at which a distance is held, so that its square is a number."""
@@ -67,7 +67,7 @@ class Sugeno(Function):
             raise InvalidInput("Sugeno: the arrays do not fit each other; see the shapes in the class's documentation.")
         if not all(np.isfinite(array).all() for array in (self.premises, self.consequents, self.weights)):
             raise InvalidInput("Sugeno: a premise, consequent or weight is not finite.")
-        if (self.premises[:, :CENTRE] <= 0.0).any():
+        if (self.premises[:, :BELL_CENTRE] <= 0.0).any():
             raise InvalidInput("Sugeno: the widths and slopes of membership functions must be positive.")
         if (self.weights < 0.0).any() or (self.weights > 1.0).any() or not self.weights.any():
             raise InvalidInput("Sugeno: rule weights must be 0..1, and not all zero.")
@@ -122,7 +122,12 @@ class Sugeno(Function):
         integers += [*self.owner.tolist(), *self.bell.astype(int).tolist(), *self.rules.ravel().tolist()]
         with np.errstate(divide="ignore"):  # a rule of weight zero never fires
             log_weights = np.log(self.weights)
-        parts = (1.0 / self.premises[:, WIDTH], self.premises[:, SLOPE], self.premises[:, CENTRE], log_weights)
+        parts = (
+            1.0 / self.premises[:, BELL_WIDTH],
+            self.premises[:, BELL_SLOPE],
+            self.premises[:, BELL_CENTRE],
+            log_weights,
+        )
         numbers = np.concatenate((*parts, self.consequents[:, :-1].ravel(), self.consequents[:, -1]))
         return Packed(kernel.SUGENO, integers, numbers.tolist(), len(self.owner) + self.n_rules)
 
@@ -155,7 +160,7 @@ def fuzzify(x: Array, system: Sugeno) -> Array:
     log_mu = -0.5 * distances**2
     bell = system.bell
     if bell.any():
-        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(distances[:, bell], system.premises[bell, SLOPE]))
+        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(distances[:, bell], system.premises[bell, BELL_SLOPE]))
     return log_mu
 
 
@@ -187,7 +192,7 @@ def total(contributions: Array) -> Array:
 
 def distance(x: Array, system: Sugeno) -> Array:
     """(n, M) signed distance of each input from each centre, in widths."""
-    raw = (x[:, system.owner] - system.premises[:, CENTRE]) / system.premises[:, WIDTH]
+    raw = (x[:, system.owner] - system.premises[:, BELL_CENTRE]) / system.premises[:, BELL_WIDTH]
     return np.clip(raw, -FARTHEST, FARTHEST)
 
 
