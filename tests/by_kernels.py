@@ -46,7 +46,7 @@ def prepared(vehicle, options):
     """Order, parts and room for the constants of an MPC, whose numbers are not yet written."""
     order, parts = ordered(vehicle, options)
     again = np.array([parts])[0]
-    assert informed.informed_parts(order, again) == informed.FINE
+    assert informed.informed_parts(order, again) == informed.OK
     n, _, learned = informed.informed_sizes(order, again)
     numbers = size_of(learning.LearnerParameters) if learned else 0
     found = informed.Constants(

@@ -15,12 +15,12 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
-from adaptrack.control.controllers.learned import MIDDLE as MIDDLE_OF_NOBODY
 from adaptrack.control.controllers.learned import BeliefState
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.results.draw import print_figure
 from adaptrack.results.learned_picture import learned_picture, learned_quantities
@@ -199,7 +199,7 @@ def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_no
     assert said["used_caution"][-1] > 2.0
     wide = rollout(DualTrack(CAR), MPC(CAR, profile="road", belief="unknown", learning=Learning()),
                    random_drive(11, 20.0), profile=world(lag=0.5, dead_time=0.1, bias=0.0), seed=1)  # fmt: skip
-    assert wide.diagnostics["belief_lag"][-1] > 0.4 > MIDDLE_OF_NOBODY[0]
+    assert wide.diagnostics["belief_lag"][-1] > 0.4 > PUBLISHED_MEDIAN[0]
 
 
 # -- when it doubts ---------------------------------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def test_a_typed_sheet_becomes_the_car_that_python_makes_of_it():
     sheet = asked([("readSheet", [typed], [])])[0]["value"]
     assert sheet == {"name": "a", "mass": 1500, "wheelbase": 2.7, "load": 75, "truck": 1, "known": {"lf": 1.2}}
     car, within = row_of(cars.CarRow, mass=sheet["mass"], **sheet["known"]), row_of(cars.KnownWithinRow)
-    assert cars.complete_car(sheet["wheelbase"], sheet["load"], sheet["truck"], car, within) == cars.COMPLETE
+    assert cars.complete_car(sheet["wheelbase"], sheet["load"], sheet["truck"], car, within) == cars.OK
     rows = [
         dict(zip(row.dtype.names, (None if x != x else x for x in row.tolist()), strict=True)) for row in (car, within)
     ]

@@ -56,7 +56,7 @@ def to_plan(line, car=None, friction=0.9, bounds=BOUNDS, **along):
 
 def planned(planning):
     status, _, _, duration = kernel.plan_along_road(planning)
-    assert status == kernel.PLANNED
+    assert status == kernel.OK
     rows = (planning.table[row] for row in (PLAN.s, PLAN.speed, PLAN.time))
     return SpeedPlanRecord(*rows, duration, int(planning.route.line.numbers[1]))
 

@@ -55,7 +55,7 @@ def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **known):
 def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, truck):
     """Dynamic index, cornering coefficients, balance of loads: as published, to the digits that are printed."""
     status, made, within = completed(mass, wheelbase, truck=truck)
-    assert status == car.COMPLETE
+    assert status == car.OK
     assert made.lf + made.lr == pytest.approx(wheelbase, abs=1e-5)
     assert made.yaw_inertia / (mass * made.lf * made.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
     front, rear = mass * GRAVITY * made.lr / wheelbase, mass * GRAVITY * made.lf / wheelbase
@@ -269,8 +269,8 @@ def test_the_gains_of_the_lqr_are_those_of_scipy():
 def made(vehicle, options):
     """What the filter remembers, and all numbers of an MPC, by kernels alone."""
     order, parts, found = prepared(vehicle, options)
-    assert informed.informed_parts(order, parts) == informed.FINE
-    assert informed.informed_constants(order, parts, found) == informed.FINE
+    assert informed.informed_parts(order, parts) == informed.OK
+    assert informed.informed_constants(order, parts, found) == informed.OK
     for field in ("estimator", "model", "turning", "tuning"):
         shorter = found._replace(**{field: getattr(found, field)[:-1].copy()})
         assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
@@ -327,7 +327,7 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
     found = informed.Constants(
         MPCSettings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing
     )
-    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.FINE
+    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.OK
     own = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
     assert found.tuning.tolist() == [35, 8, 10.0, 0.01]
     assert found.model[:6].tobytes() == own.parameters.tobytes()

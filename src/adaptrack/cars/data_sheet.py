@@ -12,15 +12,13 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.synthesis import car as kernel
+from adaptrack.core.synthesis.car import MASSES, WHEELBASES
 from adaptrack.core.synthesis.rows import row_of
 
 DRIVER = 75.0
 """kg, driver in the mass in running order (Regulation (EU) No 1230/2012)."""
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
-
-MASSES, WHEELBASES = kernel.MASSES, kernel.WHEELBASES
-"""kg, m: beyond these the measurements say nothing."""
 BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
 _ESTIMATED = (

@@ -21,6 +21,8 @@ from adaptrack.base.shown import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import Outline
+from adaptrack.core.kernel import OK
+from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
 from adaptrack.core.synthesis import plant as kernel
@@ -31,9 +33,6 @@ from adaptrack.core.synthesis.rows import row_of
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-GRAVITY = 9.80665
-"""Standard acceleration of free fall (m/s^2), as in the kernels."""
 
 FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
@@ -303,7 +302,7 @@ class Vehicle(Record):
                 "is allowed). Give the mass in kg, lengths in m, the inertia in kg m^2; with another mass the inertia "
                 "changes too."
             )
-        if flaw != car.ONE_CAR:
+        if flaw != OK:
             axle, load = ("front", "rear")[flaw - car.FRONT_ODD], self.static_loads[flaw - car.FRONT_ODD]
             raise ValueError(
                 f"stiffness_{axle} = {getattr(self, f'stiffness_{axle}'):g} N/rad is {ratio:.3g} times the load of its "

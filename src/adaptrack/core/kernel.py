@@ -25,6 +25,8 @@ import numpy as np
 
 from . import library
 
+OK = 0
+"""Status with which a kernel reports success; each kernel numbers its failures from 1."""
 SYMBOL = "kernel."
 """Prefix of the symbol under which an exported kernel is called by other kernels, by numba's calling convention."""
 INTERPRETED = library.WAY == "interpreted"

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from .kernel import boolean, exported, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
+from .kernel import OK, boolean, exported, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, floor, sqrt
 from .maths.exponential import hypot
@@ -40,6 +40,7 @@ from .road import (
     LENGTH,
     LINE_NUMBERS,
     MOST_CURVATURE,
+    PIECE_COLUMNS,
     POLYNOMIAL_DEGREE,
     SIN,
     TURN_COEFFICIENTS,
@@ -49,7 +50,7 @@ from .road import (
     headings_along,
 )
 
-OK, TOO_FEW, POINT_NOT_FINITE, POINT_TOO_FAR, TOO_SHORT, PATH_KINK, TOO_SMALL = range(7)
+TOO_FEW, POINT_NOT_FINITE, POINT_TOO_FAR, TOO_SHORT, PATH_KINK, TOO_SMALL = range(1, 7)
 """Statuses of `path_through`: a path; fewer points than `MIN_PATH_POINTS` apart from each other; a number that is not
 finite; a coordinate beyond `MAX_COORDINATE`, or a point farther than `WIDEST` from the next one; a line shorter than
 `MIN_PATH_LENGTH`; points that fold back on themselves; a memory that is too small."""
@@ -59,8 +60,6 @@ GROUP_SHARE, GROUP_LENGTH = 0.1, 0.2
 """Points in a row count as one if their distance from the first is at most this share of the step on either side, and
 at most this long (m). With a tenth, a path is off a smooth curve by at most about twice the error of its points."""
 
-COLUMNS = TURN_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
-"""Of a piece."""
 HEADING_INTERVAL = 0.5
 """m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
 STRAIGHTER = 1.25
@@ -126,7 +125,7 @@ def path_words(points, closed):
 @inlined
 def words_of(count, cells):
     """The numbers of a path of so many pieces, and cells between headings."""
-    return len(LINE_NUMBERS) + COLUMNS * count + count + 1 + cells + 1
+    return len(LINE_NUMBERS) + PIECE_COLUMNS * count + count + 1 + cells + 1
 
 
 @inlined
@@ -134,9 +133,9 @@ def line_in(memory):
     """The centre line, and the table of headings, of the path that a memory holds."""
     first = len(LINE_NUMBERS)
     count, cells = whole(memory[COUNT]), cells_of(memory[LENGTH])
-    start = first + COLUMNS * count
+    start = first + PIECE_COLUMNS * count
     headings = start + count + 1
-    line = Centreline(memory[start:headings], shaped(memory[first:start], count, COLUMNS), memory[:first])
+    line = Centreline(memory[start:headings], shaped(memory[first:start], count, PIECE_COLUMNS), memory[:first])
     return line, memory[headings : headings + cells + 1]
 
 
@@ -363,10 +362,10 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
         curvature[k] = (ahead * (2.0 * d + 6.0 * u * e) - aside * (2.0 * b + 6.0 * u * c)) / (square * sqrt(square))
     _interpolate(along, piece[ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS])
     _interpolate(across, piece[ACROSS_COEFFICIENTS:TURN_COEFFICIENTS])
-    _interpolate(turned, piece[TURN_COEFFICIENTS:COLUMNS])
-    piece[ALONG_COEFFICIENTS] = piece[ACROSS_COEFFICIENTS] = piece[TURN_COEFFICIENTS] = (
-        0.0  # the frame is at the middle
-    )
+    _interpolate(turned, piece[TURN_COEFFICIENTS:PIECE_COLUMNS])
+    piece[ALONG_COEFFICIENTS] = 0.0  # the frame is at the middle
+    piece[ACROSS_COEFFICIENTS] = 0.0
+    piece[TURN_COEFFICIENTS] = 0.0
     for k in range(NODES, _COUNT):
         u = _PLACES[k]
         off_x, off_y = (
@@ -390,7 +389,7 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
 @inlined
 def _heading_at(piece, u):
     """rad, of the end of a piece."""
-    return piece[HEADING] + _value(piece[TURN_COEFFICIENTS:COLUMNS], u)
+    return piece[HEADING] + _value(piece[TURN_COEFFICIENTS:PIECE_COLUMNS], u)
 
 
 @inlined
@@ -496,7 +495,7 @@ def path_through(points, closed, memory):
     """
     count = len(points)
     scratch = memory.size - PATH_SCRATCH * count
-    room = min((scratch - len(LINE_NUMBERS)) // COLUMNS, (memory.size - words_of(0, 1)) // (COLUMNS + 1))
+    room = min((scratch - len(LINE_NUMBERS)) // PIECE_COLUMNS, (memory.size - words_of(0, 1)) // (PIECE_COLUMNS + 1))
     if count >= MIN_PATH_POINTS and room < count:
         return TOO_SMALL, 0
     status, flaw = _flaw(points, closed)
@@ -511,7 +510,7 @@ def path_through(points, closed, memory):
     if status != OK:
         return status, flaw
     _write_slopes(path_points, closed, lengths, upper, x, y, border)
-    pieces = shaped(memory[len(LINE_NUMBERS) : len(LINE_NUMBERS) + COLUMNS * room], room, COLUMNS)
+    pieces = shaped(memory[len(LINE_NUMBERS) : len(LINE_NUMBERS) + PIECE_COLUMNS * room], room, PIECE_COLUMNS)
     n_written = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
@@ -524,7 +523,7 @@ def path_through(points, closed, memory):
             pieces[row, X], pieces[row, Y] = path_points[k, 0] + pieces[row, X], path_points[k, 1] + pieces[row, Y]
     if closed and _kinked(_jump(pieces[n_written - 1], pieces[0])):
         return PATH_KINK, 0
-    start = memory[len(LINE_NUMBERS) + COLUMNS * n_written :]
+    start = memory[len(LINE_NUMBERS) + PIECE_COLUMNS * n_written :]
     start[0] = 0.0
     for row in range(n_written):
         start[row + 1] = start[row] + 2.0 * pieces[row, HALF_LENGTH]

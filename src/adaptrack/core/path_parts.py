@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from .kernel import exported, int64, several, vector
 from .maths.bits import whole
-from .path import COLUMNS, cells_of
-from .road import COUNT, LENGTH, LINE_NUMBERS
+from .path import cells_of
+from .road import COUNT, LENGTH, LINE_NUMBERS, PIECE_COLUMNS
 
 
 @exported(several(int64, int64, int64, int64)(vector))
@@ -15,7 +15,7 @@ def path_parts(memory):
     There is one start more than pieces; the headings go on to the end of a part of `heading_count`.
     """
     count, first = whole(memory[COUNT]), len(LINE_NUMBERS)
-    start = first + COLUMNS * count
+    start = first + PIECE_COLUMNS * count
     return count, first, start, start + count + 1
 
 

@@ -51,7 +51,7 @@ SWARM_SETTINGS = (
 SPACE = ("low", "high", "whole", "decades")
 """The search space, (4, dims): bounds of each dimension, 1 where it holds whole numbers, and 1 where a coordinate is
 the decimal logarithm of the value that it stands for (its bounds are logarithms too)."""
-LOW, HIGH, WHOLE_NUMBERS, LOGARITHMIC = range(len(SPACE))
+LOW, HIGH, WHOLE_NUMBERS, DECIMAL_LOGARITHM = range(len(SPACE))
 
 # -- the swarm --------------------------------------------------------------------------------------------------------
 PROGRESS = (
@@ -151,7 +151,7 @@ def decode(count, space, x, values):
     _, dims = x.shape
     for i in range(count):
         for d in range(dims):
-            values[i, d] = power(10.0, x[i, d]) if space[LOGARITHMIC, d] > 0.5 else x[i, d]
+            values[i, d] = power(10.0, x[i, d]) if space[DECIMAL_LOGARITHM, d] > 0.5 else x[i, d]
 
 
 @exported(void(int64, int64, vector, matrix, Place(Particles)), name="begin_swarm")

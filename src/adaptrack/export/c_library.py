@@ -43,7 +43,7 @@ MAX_C_POINTS = 100_000
 
 
 @dataclass(frozen=True)
-class Exported:
+class CExport:
     """Files and sizes of an export to C."""
 
     folder: Path
@@ -73,7 +73,7 @@ def export_c(
     furthest: float = 10.0,
     room: Room | None = None,
     objects: str | os.PathLike[str] | None = None,
-) -> Exported:
+) -> CExport:
     """Write a C library of a controller with its tracker: header, compiled kernels, constants, sources around them, and
     a recorded minute that shows that it drives as it does here.
 
@@ -119,7 +119,7 @@ def export_c(
         _write(target / place, content)
     for file_name, file in files.items():
         _write(target / "lib" / file_name / KERNELS_FILE, file.read_bytes())
-    return Exported(
+    return CExport(
         target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
         recorded.failed,
     )  # fmt: skip
@@ -250,7 +250,7 @@ def _parts_header(block: Block, kind: Any) -> str:
         f"    ADAPTRACK_ROAD_LENGTH = {road.LENGTH},",
         f"    ADAPTRACK_ROAD_SPACING = {road.HEADING_SPACING},",
         f"    ADAPTRACK_ROAD_NUMBERS = {len(road.LINE_NUMBERS)},",
-        f"    ADAPTRACK_PIECE_COLUMNS = {path.COLUMNS},",
+        f"    ADAPTRACK_PIECE_COLUMNS = {road.PIECE_COLUMNS},",
         f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
     ]
     numbers = bounds.places(block, kind)

@@ -10,10 +10,10 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
    `synthesis.car.KnownWithin`; ``complete_car(wheelbase, load, truck, car, within)``. Every other number has its
    default; the tyre is that of the default. From a file: `Car` is a copy by name, `KnownWithin` a copy of the section
    ``known_within`` with ``said = 1``, or all NaN with ``said = 0`` where there is none; ``car_flaw(car)`` must answer
-   `ONE_CAR`.
+   `OK`.
 2. `synthesis.plant.Chassis`, `Tyre` (``linear`` and ``stiffness_load`` are numbers: the places of the words in
    `page_inputs.car_fields`; ``shape_factor`` is the file's ``shape``), `Body`: copies by name.
-   ``outline_of(body, chassis, outline)`` must answer `HOLDS`.
+   ``outline_of(body, chassis, outline)`` must answer `OK`.
 
 **A world.** The profile's `world_numbers`.
 
@@ -32,10 +32,10 @@ When the truth changes while it drives, 1 and 2 are called again with a changed 
 
 1. Into the row of `synthesis.informed.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
    limit of the section ``steering``, NaN where it has none; ``given``: what a caller believes of lag and dead time.
-2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `FINE`.
+2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `OK`.
 3. ``informed_sizes(order, parts)``: states, numbers of the filter's memory, of the learner's.
 4. ``settings`` of `controller_numbers` in a row of `controllers.mpc.Settings`; ``informed_constants(order, parts,
-   constants)`` must answer `FINE`. It writes tuning, model, turning, estimator, learner and fresh of the `Mpc`. A
+   constants)`` must answer `OK`. It writes tuning, model, turning, estimator, learner and fresh of the `Mpc`. A
    tuning of the caller's then takes the place of ``tuning``. ``longest_horizon`` and ``most_moves`` are those of
    ``settings``, or Np and Nc where these are larger.
 5. ``learns`` is ``settings.learns``; on a road ``curved`` and ``feeds_forward`` are 1. ``functions`` names the members.

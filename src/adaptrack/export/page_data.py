@@ -87,7 +87,7 @@ def page_data() -> dict[str, Any]:
 def _sizes() -> dict[str, int]:
     return {
         "parameters": len(PLANT_PARAMETERS), "own_states": len(PLANT_STATE) - 1, "measured": len(MEASUREMENT),
-        "road_numbers": len(road.LINE_NUMBERS), "piece": path.COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
+        "road_numbers": len(road.LINE_NUMBERS), "piece": road.PIECE_COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
         "published_states": len(single_track.SINGLE_TRACK_STATE), "turning": size_of(TurnIn),
         "turning_lag": TurnIn._fields.index("lag"), "estimator": size_of(kalman.FilterParameters),

@@ -19,6 +19,7 @@ from adaptrack.cars.domain import MOST, Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.core import path
+from adaptrack.core.kernel import OK
 from adaptrack.core.synthesis import car, plant
 from adaptrack.road.points import COLUMN_UNITS, COLUMNS, DEGREES, NAME, WITHOUT_HEADER
 
@@ -39,9 +40,9 @@ DRIVE = {
 """Columns of a drive's CSV, as `identify` and `shadow` call them (SI units), and of a page's frames."""
 ANSWERS = {
     "complete_car": {name: getattr(car, name) for name in (
-        "COMPLETE", "MASS_OUTSIDE", "WHEELBASE_OUTSIDE", "TOO_MUCH_LOAD", "AXLES_DISAGREE")},
-    "car_flaw": {"ONE_CAR": car.ONE_CAR},
-    "overhangs": {"HOLDS": plant.HOLDS},
+        "OK", "MASS_OUTSIDE", "WHEELBASE_OUTSIDE", "TOO_MUCH_LOAD", "AXLES_DISAGREE")},
+    "car_flaw": {"OK": OK},
+    "overhangs": {"OK": OK},
     "path_through": {name: getattr(path, name) for name in (
         "OK", "TOO_FEW", "POINT_NOT_FINITE", "POINT_TOO_FAR", "TOO_SHORT", "PATH_KINK", "TOO_SMALL")},
 }  # fmt: skip
@@ -68,7 +69,7 @@ def car_fields() -> dict[str, Any]:
         "most": MOST,
         "tyre": _tyre(load_tyre(Vehicle.model_fields["tyre"].default)),
         "sheet": {
-            "mass": list(data_sheet.MASSES), "wheelbase": list(data_sheet.WHEELBASES),
+            "mass": list(car.MASSES), "wheelbase": list(car.WHEELBASES),
             "body_styles": list(data_sheet.BODY_STYLES),
         },
         "points": {

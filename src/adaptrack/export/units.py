@@ -154,7 +154,7 @@ def car_unit(
     }
     values = described(car.__name__, groups, starts)
     past = loop.memory.past.shape[1]
-    record = car.Car(*_columns(values), past=np.zeros(past), loop=loop)
+    record = car.CarUnit(*_columns(values), past=np.zeros(past), loop=loop)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
     roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), ArrayRole.FIXED)
     return Unit("car", title, record, values, FIXED_ROLES | roles)
@@ -195,7 +195,7 @@ def controller_unit(
         INPUT_VALUE: controller.STEERING_INPUTS, 0: controller.STEERING_OUTPUTS,
     }  # fmt: skip
     values = described(controller.__name__, groups, starts)
-    kind = controller.Steering if isinstance(built_controller, MPC) else controller.LawSteering
+    kind = controller.SteeringUnit if isinstance(built_controller, MPC) else controller.LawSteeringUnit
     roles = {f"tracking.{name}": role for name, role in ROLES.items()}
     roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), ArrayRole.FIXED)
     title = f"controller {built_controller.name} on {path.name}"

@@ -19,19 +19,19 @@ from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
 
-MAX_OFFSET = 100.0
+CLIP_DISTANCE = 100.0
 """m, to which offsets and the reference ahead are clipped."""
 OBSERVED_WITHIN = {
-    "offset": (-MAX_OFFSET, MAX_OFFSET), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
+    "offset": (-CLIP_DISTANCE, CLIP_DISTANCE), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
 """Bounds of what sensors give, `core.observation.OBSERVATION`."""
-AHEAD_WITHIN, CURVATURE_WITHIN = (-MAX_OFFSET, MAX_OFFSET), (-1.0, 1.0)
+AHEAD_WITHIN, CURVATURE_WITHIN = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
 """m, 1/m"""
 VARIABLES_WITHIN = {
     "speed": (0.0, 100.0), "y_ref": (-1000.0, 1000.0), "friction": (0.0, 2.0), "wind": (-100.0, 100.0),
-    "change": (0.0, 1000.0), "acceleration": (0.0, 100.0), "offset": (-MAX_OFFSET, MAX_OFFSET),
+    "change": (0.0, 1000.0), "acceleration": (0.0, 100.0), "offset": (-CLIP_DISTANCE, CLIP_DISTANCE),
 }  # fmt: skip
 BELIEF_WITHIN = {"belief_lag": (0.0, 10.0), "belief_delay": (0.0, 10.0)}
 """s, lag of the steering and time until a command begins to act, as the controller believes them."""

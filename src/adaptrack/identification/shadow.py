@@ -26,10 +26,12 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
 from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
-from adaptrack.control.controllers.learned import LEAST_LAG, MIDDLE, UNKNOWN_CAR
+from adaptrack.control.controllers.learned import UNKNOWN_CAR
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.estimators.learning import SHORTEST_LAG
 from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.instants import LogSource, ReadLog, Samples
@@ -206,7 +208,7 @@ def shadow(
     commanded = all(each.log.commanded for each in read)
     said = vehicle.steering if commanded else None  # a measured wheel is behind the steering
     if uncertainty is None and not commanded:
-        uncertainty = replace(UNKNOWN_CAR, lag=max(UNKNOWN_CAR.lag, MIDDLE[0] - LEAST_LAG))
+        uncertainty = replace(UNKNOWN_CAR, lag=max(UNKNOWN_CAR.lag, PUBLISHED_MEDIAN[0] - SHORTEST_LAG))
     if belief is None and (said is None or (said.lag is None and said.dead_time is None)):
         belief = UNKNOWN
     mpc = MPC(vehicle, profile=world, belief=belief, uncertainty=uncertainty, learning=learning or Learning())

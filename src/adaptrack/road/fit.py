@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import path
+from adaptrack.core.kernel import OK
 from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.road import MOST_CURVATURE, project_all
 from adaptrack.road.along import ALONG, Along, alongs
@@ -162,7 +163,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         if status != path.TOO_SMALL:
             break
         size *= 2
-    if status != path.OK:
+    if status != OK:
         raise InvalidInput(f"road_through: {_FLAWS[status].format(place, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())

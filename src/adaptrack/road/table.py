@@ -17,13 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
-from adaptrack.core.path import COLUMNS, OK, TOO_SMALL, TURN, line_numbers, write_cubics
+from adaptrack.core.kernel import OK
+from adaptrack.core.path import TOO_SMALL, TURN, line_numbers, write_cubics
 from adaptrack.core.road import (
     ACROSS_COEFFICIENTS,
     ALONG_COEFFICIENTS,
     COS,
     HALF_LENGTH,
     HEADING,
+    PIECE_COLUMNS,
     POLYNOMIAL_DEGREE,
     SIN,
     TURN_COEFFICIENTS,
@@ -83,8 +85,8 @@ def of_pieces(piece: Array, u: Array) -> Points:
     return Points(
         piece[..., X] + cos * along - sin * across,
         piece[..., Y] + sin * along + cos * across,
-        piece[..., HEADING] + _polynomial(piece[..., TURN_COEFFICIENTS:COLUMNS], u),
-        _polynomial(polyder(piece[..., TURN_COEFFICIENTS:COLUMNS], axis=-1), u) / piece[..., HALF_LENGTH],
+        piece[..., HEADING] + _polynomial(piece[..., TURN_COEFFICIENTS:PIECE_COLUMNS], u),
+        _polynomial(polyder(piece[..., TURN_COEFFICIENTS:PIECE_COLUMNS], axis=-1), u) / piece[..., HALF_LENGTH],
     )
 
 
@@ -118,7 +120,7 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     half = 0.5 * np.diff(start)
     sharpness = (k_end - k0) / segment.length
     curvature = k0 + sharpness * (start[:-1] + half)
-    pieces = np.zeros((count, COLUMNS))
+    pieces = np.zeros((count, PIECE_COLUMNS))
     pieces[:, HALF_LENGTH] = half
     pieces[:, TURN_COEFFICIENTS + 1] = curvature * half
     pieces[:, TURN_COEFFICIENTS + 2] = 0.5 * sharpness * half**2
@@ -139,7 +141,7 @@ def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
 
 def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
-    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
@@ -176,7 +178,7 @@ def _cubic_pieces(powers: Array) -> tuple[Array, NDArray[np.int64]]:
     status = TOO_SMALL
     while status == TOO_SMALL:
         room *= 2
-        pieces = np.empty((room, COLUMNS))
+        pieces = np.empty((room, PIECE_COLUMNS))
         status, last = write_cubics(steps, pieces, counts)
     if status != OK:
         raise InvalidInput(
@@ -209,7 +211,7 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
     start = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
     whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
     pieces[1:, HEADING] -= 2.0 * np.pi * whole

@@ -31,12 +31,12 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.files import Record, write_toml
-from adaptrack.core.path import COLUMNS
 from adaptrack.core.road import (
     ACROSS_COEFFICIENTS,
     COS,
     HALF_LENGTH,
     HEADING,
+    PIECE_COLUMNS,
     POLYNOMIAL_DEGREE,
     SIN,
     TURN_COEFFICIENTS,
@@ -114,7 +114,7 @@ class RoadFile(Record):
 
 def table_of(found: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
-    pieces = np.zeros((len(found), COLUMNS))
+    pieces = np.zeros((len(found), PIECE_COLUMNS))
     for row, piece in zip(pieces, found, strict=True):
         row[[HALF_LENGTH, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
@@ -148,7 +148,7 @@ def _piece(row: Any) -> dict[str, Any]:
     bounds = {
         "along": (ALONG_PIECE, ACROSS_COEFFICIENTS),
         "across": (ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
-        "turned": (TURN_COEFFICIENTS, COLUMNS),
+        "turned": (TURN_COEFFICIENTS, PIECE_COLUMNS),
     }
     place = {"half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING}
     return {name: float(row[column]) for name, column in place.items()} | {

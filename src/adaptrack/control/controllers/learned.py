@@ -26,12 +26,8 @@ from adaptrack.core.synthesis import learner as synthesis
 
 Array = NDArray[np.float64]
 
-UNKNOWN_CAR, MIDDLE, LEAST_LAG = (
-    Uncertainty(*synthesis.UNKNOWN_CAR_ROW),
-    synthesis.PUBLISHED_MEDIAN,
-    synthesis.LEAST_LAG,
-)
-"""Default uncertainty of a car; published median of lag and dead time, and the shortest lag (s)."""
+UNKNOWN_CAR = Uncertainty(*synthesis.UNKNOWN_CAR_ROW)
+"""Default uncertainty of a car."""
 
 
 class BeliefState(IntEnum):

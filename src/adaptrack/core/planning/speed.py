@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import columns, exported, float64, inlined, int64, local, matrix, record, several, vector, void
+from ..kernel import OK, columns, exported, float64, inlined, int64, local, matrix, record, several, vector, void
 from ..maths.exact import sqrt, square
 from ..maths.exponential import power
 from ..maths.trigonometric import cos, sin
@@ -63,7 +63,7 @@ SPEED_LIMIT = columns(
     "brake", "brakes", "jerk",
 )  # fmt: skip
 """What bounds a planned speed."""
-PLANNED, CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES, NO_BOUNDS = range(8)
+CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES, NO_BOUNDS = range(1, 8)
 """What `plan_along_road` answers: a plan; a bend too tight for the car; a bank that alone exceeds what is allowed; a
 speed at the start, or at the end, above what is possible there; a start from which no car can brake in time; no road,
 or a spacing that makes no places of it; comfort that is no number above 0."""
@@ -212,7 +212,7 @@ def _bound_between(k, planning):
 
 @inlined
 def _write_grip(planning):
-    """Write pull and grip between the places: `PLANNED`, or where a bank alone is too much."""
+    """Write pull and grip between the places: `OK`, or where a bank alone is too much."""
     table, share = planning.table, planning.bounds.grip_share
     _, places = table.shape
     for k in range(places - 1):
@@ -224,7 +224,7 @@ def _write_grip(planning):
         allowed = min(table[PLAN.grip, k], planning.bounds.lateral)
         if not abs(table[PLAN.tilt, k]) < allowed:
             return (CANNOT_TURN if allowed == 0.0 else TOO_STEEP), k, allowed
-    return PLANNED, 0, 0.0
+    return OK, 0, 0.0
 
 
 @inlined
@@ -319,13 +319,13 @@ def _pass(car, planning):
 def fastest_speeds(planning):
     """Write ceilings and the squares of the fastest speeds, of a table that `plan_cells` and the caller have written.
 
-    The answer is `PLANNED`, or what is not possible, at which place, and the number that bounds it: m/s^2 allowed
+    The answer is `OK`, or what is not possible, at which place, and the number that bounds it: m/s^2 allowed
     sideways, m/s possible at the end or at the start.
     """
     table, bounds = planning.table, planning.bounds
     _, places = table.shape
     status, place, allowed = _write_grip(planning)
-    if status != PLANNED:
+    if status != OK:
         return status, place, allowed
     _write_ceiling(planning)
     fits, most = _lower_end(bounds.start, 0, table)
@@ -344,7 +344,7 @@ def fastest_speeds(planning):
     _pass(car, planning)
     if table[PLAN.square, 0] < square(bounds.start) * (1.0 - ABOVE):
         return CANNOT_BRAKE, 0, sqrt(table[PLAN.square, 0])
-    return PLANNED, 0, 0.0
+    return OK, 0, 0.0
 
 
 @exported(void(Planning, vector, vector))
@@ -467,7 +467,7 @@ def plan_along_road(planning):
     if planning.car.size > 0:
         _write_cornering(planning)
     status, place, value = fastest_speeds(planning)
-    if status != PLANNED:
+    if status != OK:
         return status, place, value, 0.0
     duration = plan_times(planning)
     plan_binding(planning)

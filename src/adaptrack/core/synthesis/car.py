@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, record, several
+from ..kernel import OK, Row, exported, float64, inlined, int64, record, several
 from ..maths.decimal import to_digits, to_places
 from ..plants.forces import GRAVITY
 
@@ -77,7 +77,7 @@ kktse.github.io), mean 0.548 m, 5 to 95 % within 0.05 m; of trucks, the database
 357 cars over mass, standard error 0.035 m, 5 to 95 % within 0.06 m; trucks lie about it.
 """
 
-COMPLETE, MASS_OUTSIDE, WHEELBASE_OUTSIDE, TOO_MUCH_LOAD, AXLES_DISAGREE = range(5)
+MASS_OUTSIDE, WHEELBASE_OUTSIDE, TOO_MUCH_LOAD, AXLES_DISAGREE = range(1, 5)
 """What `complete_car` answers."""
 MILLIMETRES = 0.005
 """m, by which l_f + l_r and the wheelbase may differ."""
@@ -113,7 +113,7 @@ def complete_car(wheelbase, load, truck, car, within):
 
     with m of the car alone, L the wheelbase and F_z the load of an axle. load: kg beside the car's own mass, at the
     centre of gravity; truck: 1: pickup, van or sport utility vehicle. The mass holds the load afterwards. Answers
-    `COMPLETE`, or what does not fit: then nothing is written.
+    `OK`, or what does not fit: then nothing is written.
     """
     mass, style = car.mass, TRUCK if truck > 0 else PASSENGER_BODY
     if not MASSES[0] <= mass <= MASSES[1]:
@@ -152,14 +152,14 @@ def complete_car(wheelbase, load, truck, car, within):
     car.side_force_slope = given_or(car.side_force_slope, SIDE_FORCE_SLOPE)
     car.yaw_moment_slope = given_or(car.yaw_moment_slope, YAW_MOMENT_SLOPE)
     car.mass = mass + load
-    return COMPLETE
+    return OK
 
 
 # -- what a car is to be ----------------------------------------------------------------------------------------------
 INERTIAS, STIFFNESSES = (0.1, 10.0), (1.0, 150.0)
 """-, of I_z/(m l_f l_r): beyond these one of the numbers is in another unit, or of another car. 1/rad, of a tyre's
 cornering stiffness over its static load; per degree it is 0.1 to 0.5."""
-ONE_CAR, INERTIA_ODD, FRONT_ODD, REAR_ODD = range(4)
+INERTIA_ODD, FRONT_ODD, REAR_ODD = range(1, 4)
 """What `car_flaw` answers."""
 
 
@@ -172,7 +172,7 @@ def static_loads(mass, lf, lr):
 
 @exported(several(int64, float64)(Row(CarRow)))
 def car_flaw(car):
-    """`ONE_CAR`, or which number is in another unit than the others, and its ratio, see `INERTIAS`."""
+    """`OK`, or which number is in another unit than the others, and its ratio, see `INERTIAS`."""
     index = car.yaw_inertia / (car.mass * car.lf * car.lr)
     if not INERTIAS[0] <= index <= INERTIAS[1]:
         return INERTIA_ODD, index
@@ -182,7 +182,7 @@ def car_flaw(car):
         return FRONT_ODD, front
     if not STIFFNESSES[0] <= rear <= STIFFNESSES[1]:
         return REAR_ODD, rear
-    return ONE_CAR, index
+    return OK, index
 
 
 @exported(float64(Row(CarRow)))

@@ -9,6 +9,7 @@ from ..controllers.mpc import MPCSettings
 from ..estimators import kalman, learning
 from ..estimators.learning_method import MAX_HYPOTHESES, LearningMethod
 from ..kernel import (
+    OK,
     Place,
     Row,
     copier,
@@ -111,7 +112,7 @@ _FILTER, _MODEL, _TURNING, _LEARNER = map(
 )
 MOST_TIME, MIN_POSITIVE = 10.0, 1e-300
 """s, of a lag, a dead time or an age; the least that is more than nothing."""
-FINE, CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(7)
+CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(1, 7)
 """What `informed_parts` and `informed_constants` answer."""
 UNEXPLAINED = (1.0, 0.6)
 """m/s^2, rad/s^2: what wheels that nobody has aligned push and turn a car before their bias is learned. With the
@@ -215,7 +216,7 @@ def _is_steering(steering):
 
 @inlined
 def _order_status(order):
-    """`FINE`, or the part of an order that makes no controller."""
+    """`OK`, or the part of an order that makes no controller."""
     car, world, unsure, method = order.car, order.world, order.unsure, order.method
     windy = _finite(car.frontal_area) and _finite(car.side_force_slope) and abs(car.yaw_moment_slope) < math.inf
     if not (is_a_car(car) and windy):
@@ -235,17 +236,17 @@ def _order_status(order):
         return UNCERTAINTY_WRONG
     if not (1.0 <= method.lags <= MAX_HYPOTHESES and 1.0 <= method.dead_times <= MAX_HYPOTHESES):
         return METHOD_WRONG
-    return FINE
+    return OK
 
 
 @exported(int64(Row(Order), Row(InformedParts)))
 def informed_parts(order, parts):
     """Write what an informed MPC is made of; parts.filter is that of `filter.usual_filter`, or the caller's.
 
-    Answers `FINE`, or what of the order is wrong: then nothing is written.
+    Answers `OK`, or what of the order is wrong: then nothing is written.
     """
     status = _order_status(order)
-    if status != FINE:
+    if status != OK:
         return status
     _copy_uncertainty(order.unsure, parts.unsure)
     believe_steering(order.given, order.file, order.actuator, order.world.computation, parts.belief)
@@ -258,7 +259,7 @@ def informed_parts(order, parts):
         _set_learner(order, parts)
     else:
         _set_fixed_belief(order, parts)
-    return FINE
+    return OK
 
 
 @exported(several(int64, int64, int64)(Row(Order), Row(InformedParts)))
@@ -290,7 +291,7 @@ def _write_states(lag, states):
 
 @exported(int64(Row(Order), Row(InformedParts), Place(Constants)))
 def informed_constants(order, parts, constants):
-    """Write the numbers of an informed MPC of these parts; `FINE`, or `MEMORY_TOO_SMALL`: then nothing is written."""
+    """Write the numbers of an informed MPC of these parts; `OK`, or `MEMORY_TOO_SMALL`: then nothing is written."""
     states, _, learned = informed_sizes(order, parts)
     small = constants.tuning.size < 4 or constants.states.size != states or constants.estimator.size < _FILTER
     small = small or constants.model.size < _MODEL or constants.turning.size < _TURNING or constants.settings.size < 1
@@ -313,4 +314,4 @@ def informed_constants(order, parts, constants):
     path.write_turning(constants.model, constants.turning)
     t = turning_of(constants.turning, 0)
     t.friction, t.shape_factor = filtering.friction, filtering.shape_factor
-    return FINE
+    return OK

@@ -64,7 +64,6 @@ MOST_LAG, MOST_DEAD_TIME = 0.6, 0.5
 MAX_STIFFNESS_RANGE, MAX_BALANCE_RANGE, MAX_BIAS_RANGE = 4.0, 4.0, 0.07
 """Factors and rad, to which a default range may widen: axles of 5 to 60 1/rad over their load, beyond any data sheet;
 4 degrees."""
-LEAST_LAG = learning.SHORTEST_LAG
 GRAIN = 0.4
 """Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
 MIN_DELAY_SIGMA, MIN_STIFFNESS_SIGMA = 0.02, 0.05
@@ -116,7 +115,7 @@ def _set_ranges(belief, uncertainty, by_caller, learner):
     """Write the ranges of lag and dead time: about the assumed values, or about the middle of published ones."""
     lag = PUBLISHED_MEDIAN[0] if is_unknown(belief.lag_source) else belief.lag
     dead_time = PUBLISHED_MEDIAN[1] if is_unknown(belief.dead_time_source) else belief.dead_time
-    _set_ends(lag, uncertainty.lag, LEAST_LAG, MOST_LAG, by_caller, learner.lag)
+    _set_ends(lag, uncertainty.lag, learning.SHORTEST_LAG, MOST_LAG, by_caller, learner.lag)
     _set_ends(dead_time, uncertainty.dead_time, 0.0, MOST_DEAD_TIME, by_caller, learner.dead_time)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
+from ..kernel import OK, Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
 from ..plants.parameters import CHASSIS, unpack
@@ -57,7 +57,7 @@ FRONT_SHARE = 0.45
 """Share of the front in what the body is longer than the wheelbase, where nobody says it."""
 WIDER_THAN_TRACK = 0.24
 """m, by which a body is wider than its larger track, where nobody says its width: mirrors do not count."""
-HOLDS, AXLE_OUTSIDE, LENGTH_DISAGREES = range(3)
+AXLE_OUTSIDE, LENGTH_DISAGREES = range(1, 3)
 """What `overhangs` answers: fine; no room for an axle; length, wheelbase and overhangs differ."""
 MATCHING = 0.02
 """m, by which they may differ."""
@@ -158,7 +158,7 @@ def dead_periods(delay, dead_time, period):
 # -- outline ----------------------------------------------------------------------------------------------------------
 @exported(several(int64, float64, float64)(Row(BodyRow), float64))
 def overhangs(body, wheelbase):
-    """`HOLDS` or what is wrong, and front and rear overhang (m) over a wheelbase (m), estimated where not given."""
+    """`OK` or what is wrong, and front and rear overhang (m) over a wheelbase (m), estimated where not given."""
     front, rear = body.front_overhang, body.rear_overhang
     if not math.isnan(body.length):
         beyond = body.length - wheelbase
@@ -176,7 +176,7 @@ def overhangs(body, wheelbase):
         rear = beyond - front
     if min(front, rear) < 0.0:
         return AXLE_OUTSIDE, front, rear
-    return (LENGTH_DISAGREES if abs(front + rear - beyond) > MATCHING else HOLDS), front, rear
+    return (LENGTH_DISAGREES if abs(front + rear - beyond) > MATCHING else OK), front, rear
 
 
 @exported(int64(Row(BodyRow), Row(Chassis), Row(OutlineRow)))

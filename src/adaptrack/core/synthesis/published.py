@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, Row, exported, float64, int64
+from ..kernel import OK, Place, Row, exported, float64, int64
 from ..models import single_track
 from ..models.contract import MEASUREMENT
 from .belief import ANGLE, MOVE
 from .car import CarRow
-from .informed import CAR_WRONG, FINE, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, is_a_car
+from .informed import CAR_WRONG, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, is_a_car
 from .tuning import PAPER_TUNING
 
 _MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.SINGLE_TRACK_STATE)
@@ -19,7 +19,7 @@ _MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.SINGLE_
 def published_constants(car, period, constants):
     """Write tuning and limits of the paper's table, and its model of a car; period: s.
 
-    Of the settings only those of the loop; estimator, learner and turning are not used. `FINE`, or what is wrong: then
+    Of the settings only those of the loop; estimator, learner and turning are not used. `OK`, or what is wrong: then
     nothing is written.
     """
     tuning, model, states = constants.tuning, constants.model, constants.states
@@ -37,4 +37,4 @@ def published_constants(car, period, constants):
     model[0], model[1], model[2], model[3] = car.mass, car.yaw_inertia, car.lf, car.lr
     model[4], model[5] = car.stiffness_front, car.stiffness_rear
     states[0], states[1], states[2], states[3] = MEASUREMENT.vy, MEASUREMENT.yaw, MEASUREMENT.yaw_rate, MEASUREMENT.y
-    return FINE
+    return OK

@@ -13,8 +13,8 @@ from .records import (
     FOLLOWING,
     HELD,
     OFF_PATH,
-    STANDING,
     STANDS,
+    STANDSTILL_SPEED,
     TrackerRecord,
 )
 
@@ -48,7 +48,7 @@ def _status(tracker, m, held):
         return OFF_PATH
     if held:
         return HELD
-    if m.speed < STANDING:
+    if m.speed < STANDSTILL_SPEED:
         return STANDS
     if not abs(m.offset) <= tracker.settings[0].furthest:
         return OFF_PATH

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..controllers.contract import wrapped
+from ..estimators.kalman import SENSOR_COUNT
 from ..input_check.call import check_call
 from ..input_check.record import memory_of
 from ..kernel import Place, exported, inlined, int64
@@ -26,6 +27,7 @@ from .place import (
     time_of,
 )
 from .records import (
+    CAR_SLIDES,
     ESTIMATED,
     EXPECTED_SPEEDS,
     FOLLOWING,
@@ -35,14 +37,11 @@ from .records import (
     LONGEST_GAP,
     REQUEST,
     REVERSE,
-    SLIDES,
-    STANDING,
+    STANDSTILL_SPEED,
     TRACKED,
     TrackerRecord,
 )
 
-SENSORS = 6
-"""The first of `MEASUREMENT`; their ages follow."""
 LATEST = 0.499
 """Periods, by which a sample may be later than the last instant that a filter goes through anew."""
 CARRIED = 0.25
@@ -87,7 +86,7 @@ def _judge(tracker, m):
     """Let the status say that the car slides; take a command back while the car turns against it."""
     found, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
     if found.sliding > 0 and (m.status == FOLLOWING or m.status == ESTIMATED or m.status == REVERSE):
-        m.status = SLIDES
+        m.status = CAR_SLIDES
     if found.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
         hold(tracker, m, m.command_before - clip(m.command_before, -move, move))
         m.status = HELD
@@ -121,14 +120,14 @@ def _advance(tracker, m, sampled):
 def _measure(tracker, m, sampled):
     """Write what the controller is given (`MEASUREMENT`)."""
     settings, measured = tracker.settings[0], tracker.measured
-    for i in range(SENSORS):
+    for i in range(SENSOR_COUNT):
         measured[i] = math.nan
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age], measured[MEASUREMENT.turned] = 0.0, 0.0, m.turned
     m.fresh = 1 if sampled and _take(tracker, m, measured) else 0
     if settings.filtered > 0:
         return
     drift = measured[MEASUREMENT.vy]
-    for i in range(SENSORS):
+    for i in range(SENSOR_COUNT):
         measured[i] = math.nan
     if time_of(m, settings.period) - m.newest <= LONGEST_GAP:
         measured[MEASUREMENT.vy] = drift if math.isfinite(drift) else _steady_drift(m, settings)
@@ -180,7 +179,7 @@ def _expect_speeds(tracker, m):
     speeds[0] = speed
     if plan.s.size < 2:
         return
-    step = max(speed, STANDING) * tracker.settings[0].period
+    step = max(speed, STANDSTILL_SPEED) * tracker.settings[0].period
     for i in range(EXPECTED_SPEEDS):
         speeds[i] = m.station + step * i
     lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0

@@ -41,7 +41,7 @@ from .records import (
     REQUEST,
     REVERSE,
     SHARE_OF_LAST,
-    STANDING,
+    STANDSTILL_SPEED,
     TRACKED,
     TRACKER_SAMPLE,
     TrackerRecord,
@@ -83,7 +83,7 @@ def tracker_give(tracker):
     _keep(m, sample, abs(at - t) > LONGEST_GAP)
     if math.isfinite(sample[TRACKER_SAMPLE.speed]):
         m.speed = sample[TRACKER_SAMPLE.speed]
-    if m.started > 0 and (m.speed < -STANDING or abs(at - m.last) > LONGEST_GAP):
+    if m.started > 0 and (m.speed < -STANDSTILL_SPEED or abs(at - m.last) > LONGEST_GAP):
         restart(tracker, m)
     m.command_before = m.command
     if m.started > 0:
@@ -131,7 +131,7 @@ def _begin(tracker, m, at):
     if math.isfinite(m.given_wheel_angle):
         hold(tracker, m, m.given_wheel_angle)
     age = at - m.given_t
-    backwards = m.speed < -STANDING
+    backwards = m.speed < -STANDSTILL_SPEED
     known = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
     if backwards or not known or not has_path(tracker):
         m.status, m.answered = REVERSE if backwards else HELD, 1
@@ -173,7 +173,7 @@ def _go_on(tracker, m, at):
 def _leave_out_if_placed_before(m):
     """Leave out a pose that is the one before under a later time stamp: a car that moves has another."""
     same = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
-    if same and m.given_t > m.placed_t and forward(m) > STANDING:
+    if same and m.given_t > m.placed_t and forward(m) > STANDSTILL_SPEED:
         leave_out_position(m)
     elif has_position(m):
         m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..controllers.contract import STANDSTILL_SPEED as STANDSTILL_SPEED
 from ..controllers.mpc_step import MPCStep
 from ..input_check.record import Check
 from ..kernel import columns, record, rows, vector
@@ -15,8 +16,6 @@ from ..rollout import Law
 from ..schedule import ScheduleRecord
 from ..variables import VARIABLE_COLUMNS
 
-STANDING = 0.1
-"""m/s: a slower car stands, and a faster one in reverse drives backwards."""
 LONGEST_GAP = 2.0
 """s without a call, or a clock that jumps back by more: the tracker begins anew from the command held. A controller
 without a Kalman filter goes on for so long without a position, too."""
@@ -49,7 +48,7 @@ STATUS = columns(
     "no_time",  # a call without a time: left out
 )
 """What a call was."""
-FOLLOWING, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, BEYOND_END, SLIDES, REPEATED, NO_TIME = STATUS
+FOLLOWING, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, BEYOND_END, CAR_SLIDES, REPEATED, NO_TIME = STATUS
 NO_BELIEF = -1.0
 """The state of a belief where nothing is learned."""
 

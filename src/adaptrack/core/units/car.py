@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, local, record, vector
 from ..loop import RUNNING, SIGNAL, STATE_NOT_FINITE
 from ..maths.bits import whole
 from ..maths.trigonometric import cos, sin
@@ -16,7 +16,7 @@ from ..models.contract import MEASUREMENT
 from ..period import RunLoop, RunSpan, after_control, before_control, begin_slot, move
 from ..plants.contract import ENVIRONMENT, MOTION_STATES, OBSERVED, PLANT_STATE, observe, state_at
 from ..road import line_of, point_at
-from .contract import NO_DELAY, OK, UNIT_FAILED, outside
+from .contract import NO_DELAY, UNIT_FAILED, outside
 
 CAR_CONSTANTS = (
     "time",  # s, of the present instant
@@ -70,8 +70,8 @@ CAR_VALUE = columns(*CAR_CONSTANTS, *PARAMETERS, *CAR_INPUTS, *CAR_OUTPUTS)
 _PARAMETER, _INPUT = CAR_VALUE.seed, CAR_VALUE.command
 _OUTPUT = _INPUT + len(CAR_INPUTS)
 
-Car = record(
-    "Car",
+CarUnit = record(
+    "CarUnit",
     (
         ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("past", vector),
         ("loop", RunLoop),
@@ -153,7 +153,7 @@ def _sense(car):
     return OK
 
 
-@exported(int64(Place(Car)))
+@exported(int64(Place(CarUnit)))
 def car_begin(car):
     """Read the parameters, put the car at its start and sense it; the status."""
     values, loop = car.values, car.loop
@@ -173,7 +173,7 @@ def car_begin(car):
     return _sense(car)
 
 
-@exported(int64(Place(Car)))
+@exported(int64(Place(CarUnit)))
 def car_step(car):
     """Send the command, move on by a period and sense; the status.
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, local, record, vector
 from ..maths.bits import whole
 from ..road import CLOSED
 from ..speed_plan import planned_speeds
 from ..tracker.give import tracker_engage
 from ..tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, Tracking
 from ..tracker.step import tracker_step, tracker_step_law
-from .contract import OK, outside
+from .contract import outside
 
 STEERING_CONSTANTS = (
     "time",  # s, of the present instant
@@ -62,9 +62,9 @@ _PARAMETER, _INPUT = STEERING_VALUE.start_wheel_angle, STEERING_VALUE.x
 
 _places = local(2)
 _VALUES = (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector))
-Steering = record("Steering", (*_VALUES, ("tracking", Tracking)))
+SteeringUnit = record("SteeringUnit", (*_VALUES, ("tracking", Tracking)))
 """A unit of co-simulation (see `contract`) around an MPC, its values by `STEERING_VALUE`."""
-LawSteering = record("LawSteering", (*_VALUES, ("tracking", LawTracking)))
+LawSteeringUnit = record("LawSteeringUnit", (*_VALUES, ("tracking", LawTracking)))
 """The same around a control law."""
 
 
@@ -151,19 +151,19 @@ def _go_on(values):
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
 
 
-@exported(int64(Place(Steering)))
+@exported(int64(Place(SteeringUnit)))
 def steering_begin(unit):
     """Begin anew; the status."""
     return _begin(unit)
 
 
-@exported(int64(Place(LawSteering)))
+@exported(int64(Place(LawSteeringUnit)))
 def law_steering_begin(unit):
     """`steering_begin`, with a control law."""
     return _begin(unit)
 
 
-@exported(int64(Place(Steering)))
+@exported(int64(Place(SteeringUnit)))
 def steering_step(unit):
     """Call the tracker with the inputs, and go on by a period; the status."""
     values, tracker = unit.values, unit.tracking.tracker
@@ -174,7 +174,7 @@ def steering_step(unit):
     return OK
 
 
-@exported(int64(Place(LawSteering)))
+@exported(int64(Place(LawSteeringUnit)))
 def law_steering_step(unit):
     """`steering_step`, with a control law."""
     values, tracker = unit.values, unit.tracking.tracker

@@ -163,7 +163,7 @@ const inputs = (() => {
   function sheetFlaw(status, sheet, given) {
     const answers = given.answers.complete_car, { mass, wheelbase, load } = sheet;
     const sentences = {
-      COMPLETE: null,
+      OK: null,
       MASS_OUTSIDE: `mass = ${mass} kg: must be from ${given.sheet.mass.join(" to ")}.`,
       WHEELBASE_OUTSIDE: `wheelbase = ${wheelbase} m: must be from ${given.sheet.wheelbase.join(" to ")}.`,
       TOO_MUCH_LOAD: `load = ${load} kg: must not be more than the car itself, ${mass} kg.`,

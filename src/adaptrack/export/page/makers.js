@@ -115,7 +115,7 @@ function carKnownTo(entry, car) {
 function carOfFile(car) {
   const row = copied("synthesis.car.CarRow", car.numbers), said = car.known_within;
   const within = copied("synthesis.car.KnownWithinRow", said ? { ...said, said: 1 } : {});
-  if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.ONE_CAR) throw new Refusal("car", NO_CAR);
+  if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.OK) throw new Refusal("car", NO_CAR);
   return carOfRows(car, row, within);
 }
 
@@ -128,7 +128,7 @@ function carOfRows(car, row, within) {
     tyre: copied("synthesis.plant.TyreRow", car.tyre.numbers), body: copied("synthesis.plant.BodyRow", car.body),
   };
   const outline = copied("synthesis.plant.OutlineRow"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
-  if (memory.call("overhangs", rows.body, lf + lr)[0] !== written.inputs.answers.overhangs.HOLDS)
+  if (memory.call("overhangs", rows.body, lf + lr)[0] !== written.inputs.answers.overhangs.OK)
     throw new Refusal("car", NO_CAR);
   memory.call("outline_of", rows.body, rows.chassis, outline);
   const plain = mine(memory.array("F", [written.sizes.parameters]));
@@ -331,7 +331,7 @@ const alongOf = (value) =>
 const constantAlong = (value) => mine(memory.make("planning.along.AlongRecord", alongOf(value)));
 
 const AN_HOUR = 3600, MOST_SAMPLES = 200000;
-const PLANNED = 0;
+const OK = 0;
 
 /** How fast a road is driven: { table, plan (for RoadDrive), duration }. */
 function planOf(speed, of, car, world) {
@@ -367,7 +367,7 @@ function constantPlan(speed, planning) {
 function lateralPlan(lateral, planning) {
   planning.bounds.lateral = checked("speed", "lateral", lateral);
   const [status, place, value, duration] = memory.call("plan_along_road", planning);
-  if (status === PLANNED) return duration;
+  if (status === OK) return duration;
   const s = planning.table.values[written.places.plan.s * planning.table.shape[1] + place];
   throw new Refusal(
     "speed",
@@ -496,7 +496,6 @@ function mpcOf(entry, known, car, world, where) {
   };
 }
 
-const FINE = 0;
 /** The numbers of an informed MPC of this car with what it believes. */
 function informedConstants(known, car, believed, where) {
   const order = filled(mine(memory.row("synthesis.informed.Order")), known.order);
@@ -507,12 +506,12 @@ function informedConstants(known, car, believed, where) {
   const parts = mine(memory.row("synthesis.informed.InformedParts"));
   memory.call("usual_filter", new Block(memory, parts.filter.$at, "F", [parts.filter.$layout.words]));
   let status = memory.call("informed_parts", order, parts);
-  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
   const [states, remembers, learned] = memory.call("informed_sizes", order, parts);
   const constants = constantsOf(states, learned);
   filled(constants.settings.row(0), known.settings);
   status = memory.call("informed_constants", order, parts, constants);
-  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
   return { constants, states, remembers, learned, order, parts };
 }
 
@@ -520,7 +519,7 @@ function publishedConstants(known, car, period, where) {
   const constants = constantsOf(written.sizes.published_states, 0, true);
   filled(constants.settings.row(0), known.settings);
   const status = memory.call("published_constants", car.rows.car, period, constants);
-  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
   return { constants, states: written.sizes.published_states, remembers: 0, learned: 0 };
 }
 

@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 from adaptrack.core import functions as kernel
+from adaptrack.core.functions import MAX_DISTANCE_WIDTHS
 
-Integers = NDArray[np.intp]
+IndexArray = NDArray[np.intp]
 
 ANY = -1
 """In a rule: this input does not matter."""
 BELL_WIDTH, BELL_SLOPE, BELL_CENTRE = range(3)
 """Columns of the premises."""
-FARTHEST = 1e150
-"""Widths from the centre at which a distance is held, so that its square is a number."""
 
 
 @register_function
@@ -44,13 +43,13 @@ class Sugeno(Function):
         When the arrays do not fit each other, or a number is not finite or out of its range.
     """
 
-    owner: Integers
+    owner: IndexArray
     """(M,) the input that each membership function reads"""
     bell: NDArray[np.bool_]
     """(M,) True: generalised bell 1/(1 + |(x - c)/a|^(2b)); False: Gaussian exp(-(x - c)^2/(2 sigma^2))"""
     premises: Array
     """(M, 3) width (sigma or a > 0), slope (b > 0, no meaning for a Gaussian), centre c; in the input's unit"""
-    rules: Integers
+    rules: IndexArray
     """(R, D) the membership function that each rule asks of each input, or `ANY`"""
     consequents: Array
     """(R, D + 1) slopes p along the inputs, then the constant r"""
@@ -193,9 +192,9 @@ def total(contributions: Array) -> Array:
 def distance(x: Array, system: Sugeno) -> Array:
     """(n, M) signed distance of each input from each centre, in widths."""
     raw = (x[:, system.owner] - system.premises[:, BELL_CENTRE]) / system.premises[:, BELL_WIDTH]
-    return np.clip(raw, -FARTHEST, FARTHEST)
+    return np.clip(raw, -MAX_DISTANCE_WIDTHS, MAX_DISTANCE_WIDTHS)
 
 
 def bell_exponent(distance: Array, slope: Array) -> Array:
     """log |distance|^(2 slope), finite at the centre too."""
-    return 2.0 * slope * np.log(np.maximum(np.abs(distance), 1.0 / FARTHEST))
+    return 2.0 * slope * np.log(np.maximum(np.abs(distance), 1.0 / MAX_DISTANCE_WIDTHS))
