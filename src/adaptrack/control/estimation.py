@@ -216,26 +216,26 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
     a, b, c = model.discrete(speed)
     matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
     parameters, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
-    x, found, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
+    x, estimate, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
     command = 0.0
     for k in range(steps):
         measured = NOTHING_MEASURED.copy()
         measured[places] = x
-        given = [each.copy() for each in (measured, matrix, column, parameters)]
-        estimator.function(speed, measured, command, matrix, column, parameters, memory, found, d)
+        copies = [array.copy() for array in (measured, matrix, column, parameters)]
+        estimator.function(speed, measured, command, matrix, column, parameters, memory, estimate, d)
         after = (measured, matrix, column, parameters)
-        if any(not np.array_equal(one, other, equal_nan=True) for one, other in zip(given, after, strict=True)):
+        if any(not np.array_equal(copied, other, equal_nan=True) for copied, other in zip(copies, after, strict=True)):
             fail("it must write to memory, x and d only", f"step {k}")
-        if not (np.isfinite(found).all() and np.isfinite(d).all()):
-            fail("x and d must be written and finite", f"x = {found}, d = {d} at step {k}")
+        if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
+            fail("x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
         command = 0.01 * math.sin(0.2 * k)
-        ahead = (c @ (matrix @ found + column * command + d)).item()
+        ahead = (c @ (matrix @ estimate + column * command + d)).item()
         x = matrix @ x + column * command
         if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
             fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
-    estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, found, d)
-    if not (np.isfinite(found).all() and np.isfinite(d).all()):
-        fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
+    estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, estimate, d)
+    if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
+        fail("a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
 
 
 class FrictionWindEstimate(NamedTuple):
@@ -375,13 +375,13 @@ class FrictionWindEstimator:
     @property
     def estimate(self) -> FrictionWindEstimate:
         """What the last step found."""
-        own = self._memory[0]
+        memory = self._memory[0]
         return FrictionWindEstimate(
-            friction=float(own.friction),
-            wind=float(own.wind),
-            friction_std=float(own.friction_std),
-            wind_std=float(own.wind_std),
-            stiffness=math.exp(own.z[friction_wind.LOG_STIFFNESS]),
+            friction=float(memory.friction),
+            wind=float(memory.wind),
+            friction_std=float(memory.friction_std),
+            wind_std=float(memory.wind_std),
+            stiffness=math.exp(memory.z[friction_wind.LOG_STIFFNESS]),
         )
 
 
@@ -411,8 +411,8 @@ class Perception:
             return np.full_like(friction, self.nominal_friction), np.zeros_like(wind)
         late = np.maximum(np.arange(len(friction)) - round(self.delay / period), 0)
         rng = np.random.default_rng((self.seed + number, 0x7E11))
-        known = []
+        estimates = []
         for truth in (friction, wind):
             error = 1.0 + self.bias + self.noise * rng.normal(size=len(truth))
-            known.append(truth[late] * error)
-        return np.maximum(known[0], 0.01), known[1]
+            estimates.append(truth[late] * error)
+        return np.maximum(estimates[0], 0.01), estimates[1]

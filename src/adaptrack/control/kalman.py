@@ -96,9 +96,9 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     def variances(self) -> Array:
         """(6,) of what `SENSORS` give; inf: none."""
-        found = np.empty(len(SENSORS))
-        kernel.sensor_variances(self.noise.row, found)
-        return found
+        variances = np.empty(len(SENSORS))
+        kernel.sensor_variances(self.noise.row, variances)
+        return variances
 
     @property
     def tyres(self) -> tuple[float, float]:
@@ -106,6 +106,6 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     def parameters(self, model: PredictionModel) -> Array:
         assert isinstance(model, PathModel)
-        found = np.zeros(size_of(FilterParameters))
-        kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, found)
-        return found
+        numbers = np.zeros(size_of(FilterParameters))
+        kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, numbers)
+        return numbers

@@ -262,17 +262,17 @@ class PathModel(PredictionModel):
         return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
 
     def parameters(self) -> Array:
-        known = [getattr(self.vehicle, name) for name in path.Parameters._fields if name != "lag"]
-        return np.array([*known, self.lag], dtype=float)
+        numbers = [getattr(self.vehicle, name) for name in path.Parameters._fields if name != "lag"]
+        return np.array([*numbers, self.lag], dtype=float)
 
     @property
     def function(self) -> Any:
         return path.discretise
 
     def turning(self) -> Array:
-        found = np.zeros(5)
-        path.write_turning(self.parameters(), found)
-        return found
+        parameters = np.zeros(5)
+        path.write_turning(self.parameters(), parameters)
+        return parameters
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
         """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""
@@ -406,26 +406,26 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
 
     n = model.n
     for speed in speeds:
-        here, given = f"at {speed:g} m/s", model.parameters()
+        place, parameters = f"at {speed:g} m/s", model.parameters()
         answers = []
         for empty in (np.nan, 7.0):
             a, b, e = np.full((n, n), empty), np.full(n, empty), np.full(n, empty)
-            model.function(float(speed), model.period, given, a, b, e)
+            model.function(float(speed), model.period, parameters, a, b, e)
             answers.append(np.column_stack([a, b, e]))
         if not np.isfinite(answers[0]).all():
-            fail("A, B and E must be written and finite", here)
+            fail("A, B and E must be written and finite", place)
         if (answers[0] != answers[1]).any():
-            fail("the same arguments must give the same matrices", here)
-        if (given != model.parameters()).any():
-            fail("the parameters must not be written to", here)
+            fail("the same arguments must give the same matrices", place)
+        if (parameters != model.parameters()).any():
+            fail("the parameters must not be written to", place)
         a, b = answers[0][:, :n], answers[0][:, n]
         if not np.allclose(a @ model.output, model.output, atol=1e-9):
-            fail("a steady shift of y must stay where it is", f"A C' = {a @ model.output} {here}")
+            fail("a steady shift of y must stay where it is", f"A C' = {a @ model.output} {place}")
         x = np.zeros(n)
         for _ in range(max(10, math.ceil(1.0 / model.period))):
             x = a @ x + b * 0.01
         if not x @ model.output > 0.0:
-            fail("steering to the left must move y to the left", f"y = {x @ model.output:g} m after 0.01 rad {here}")
+            fail("steering to the left must move y to the left", f"y = {x @ model.output:g} m after 0.01 rad {place}")
 
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:

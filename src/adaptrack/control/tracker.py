@@ -275,13 +275,13 @@ class Tracker:
         numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)
         call_start = time.perf_counter()
-        given = [real("Tracker.step", "a sample", each) for each in numbers]
-        at = given[0] if now is None else real("Tracker.step", "now", now)
+        row = [real("Tracker.step", "a sample", number) for number in numbers]
+        at = row[0] if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
-        given[1] = at
+        row[1] = at
         kernel, resident = self._kernel, self._resident
-        kernel.sample[: len(given)] = given
+        kernel.sample[: len(row)] = row
         tracker_give(resident)
         self._obey()
         steps = 0
@@ -293,10 +293,12 @@ class Tracker:
         self._obey()
         tracked = self._answer(at)
         if steps:
-            self._take_times(at - given[0], time.perf_counter() - call_start)
+            self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
-            taken, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(given)].tolist()
-            self._recorder.add(taken, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset)
+            sample_time, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(row)].tolist()
+            self._recorder.add(
+                sample_time, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset
+            )
         return tracked
 
     def _answer(self, time: float) -> Tracked:
@@ -314,10 +316,10 @@ class Tracker:
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""
         request = self._kernel.request
-        again, sent, another, turned, shifted, late = request.tolist()
+        again, sent, changed, turned, shifted, late = request.tolist()
         if again:
             self.controller.restart()
-        if another:
+        if changed:
             self.controller.change_path(turned, shifted)
         if sent:
             self.controller.applied(float(self._kernel.memory[0].command))

@@ -32,7 +32,7 @@ def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: fl
 def packed_plan(plan: SpeedPlan | None) -> Any:
     """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
     both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
-    return records.PlanRecord(*(np.ascontiguousarray(each, float) for each in both))
+    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
 
 
 def _settings(controller: Any, furthest: float) -> Any:
@@ -40,7 +40,7 @@ def _settings(controller: Any, furthest: float) -> Any:
     car, limits, period = controller.vehicle, controller.limits, float(controller.period)
     filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
-    known = car is not None
+    has_car = car is not None
     return records.TRACKER_SETTINGS.new(
         period=period,
         angle_min=max(low, -MOST_WHEEL_ANGLE),
@@ -49,9 +49,9 @@ def _settings(controller: Any, furthest: float) -> Any:
         furthest=furthest,
         late=controller.estimator.late(controller.model) if filtered else 0,
         filtered=filtered,
-        drift_arm=car.lr if known else 0.0,
-        drift_load=car.mass * car.lf if known else 0.0,
-        drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if known else 1.0,
+        drift_arm=car.lr if has_car else 0.0,
+        drift_load=car.mass * car.lf if has_car else 0.0,
+        drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if has_car else 1.0,
         nominal_friction=Perception().nominal_friction,
     )
 

@@ -80,10 +80,10 @@ class Header(NamedTuple):
     """of the memory"""
     record: int
     """words of the record, with which the memory begins"""
-    renewed: int
-    """first word of the RENEWED arrays"""
-    kept: int
-    """first word of the KEPT arrays"""
+    first_renewed: int
+    """word of the RENEWED arrays"""
+    first_kept: int
+    """word of the KEPT arrays"""
     places: int
     links: int
     starts: int
@@ -142,7 +142,7 @@ class Block:
     @property
     def state_size(self) -> int:
         """Bytes of it that a saved state holds."""
-        return 8 * (self.header.words - self.header.renewed)
+        return 8 * (self.header.words - self.header.first_renewed)
 
     @property
     def saved_size(self) -> int:

@@ -137,8 +137,8 @@ class Controller(ABC):
     @property
     def belief_at_first(self) -> str:
         """The belief about the steering before the first step, for tables; empty where there is none."""
-        known = "" if self.belief is None else str(self.belief)
-        return f"{known}; {self.learns}" if known and self.learner is not None else known
+        belief = "" if self.belief is None else str(self.belief)
+        return f"{belief}; {self.learns}" if belief and self.learner is not None else belief
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
@@ -195,11 +195,11 @@ class Controller(ABC):
         InvalidInput
             When it makes no such controller.
         """
-        found = {name: real(type(self).__name__, name, tuning[name]) for name in self.tuning_names}
-        for name, value in found.items():
+        entries = {name: real(type(self).__name__, name, tuning[name]) for name in self.tuning_names}
+        for name, value in entries.items():
             if not math.isfinite(value):
                 raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite.")
-        return found
+        return entries
 
     def with_tuning(self, tuning: Mapping[str, float]) -> Self:
         """A controller of its own, at its start, with these tuning entries (by name) in place of its own.
@@ -211,10 +211,10 @@ class Controller(ABC):
         InvalidInput
             For an entry that it does not have, or numbers that make no such controller.
         """
-        made = copy.deepcopy(self)
-        made.tuning = self.check_tuning(self._entries(tuning))
-        made.reset()
-        return made
+        controller = copy.deepcopy(self)
+        controller.tuning = self.check_tuning(self._entries(tuning))
+        controller.reset()
+        return controller
 
     def _entries(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """All tuning entries, some of them changed."""
@@ -272,13 +272,13 @@ class CompiledController(Controller):
         """The law's constant numbers."""
         return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
 
-    def _made_by(self, kernel: Any, size: int, *more: Any) -> Array:
+    def _made_by(self, kernel: Any, size: int, *arguments: Any) -> Array:
         """Return the parameters that a kernel of `core.synthesis.laws` computes; size: of all parameters."""
         (low, high), (least, most) = self.limits.move, self.limits.angle
         common = row_of(laws.Common, period=self.period, move_min=low, move_max=high, angle_min=least, angle_max=most)
-        found = np.zeros(size)
-        kernel(self.vehicle.numbers, common, *more, found)
-        return found[len(laws.Common._fields) :]
+        parameters = np.zeros(size)
+        kernel(self.vehicle.numbers, common, *arguments, parameters)
+        return parameters[len(laws.Common._fields) :]
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
@@ -286,11 +286,11 @@ class CompiledController(Controller):
         for name in self.positive:
             if not 0.0 < real(where, name, tuning[name]) < math.inf:
                 raise InvalidInput(f"{where}: {name} = {tuning[name]!r}: must be finite and positive.")
-        found = super().check_tuning(tuning)
-        for name, value in found.items():
+        entries = super().check_tuning(tuning)
+        for name, value in entries.items():
             if value < 0.0:
                 raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
-        return found
+        return entries
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
@@ -348,12 +348,12 @@ class CompiledController(Controller):
         curved = road_ahead(road)
         path = straight() if curved is None else curved.packed
         self.function(situation, ahead, path, self._tuning, self._parameters, self._memory, self._answer)
-        angle, *said = self._answer.tolist()
-        diagnostics = dict(zip(self.diagnostic_names, said, strict=True))
-        held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
+        angle, *values = self._answer.tolist()
+        diagnostics = dict(zip(self.diagnostic_names, values, strict=True))
+        is_held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
         angle = angle if math.isfinite(angle) else self._angle
         move, self._angle = angle - self._angle, angle
-        return Command(angle, move, held, tuple(self.tuning.values()), diagnostics)
+        return Command(angle, move, is_held, tuple(self.tuning.values()), diagnostics)
 
     def __repr__(self) -> str:
         car = getattr(getattr(self, "vehicle", None), "name", "a car")

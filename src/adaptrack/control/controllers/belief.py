@@ -112,38 +112,42 @@ GivenSteering = Steering | Literal["unknown"] | None
 """A caller's steering; None: that of the car file, then that of the profile unless it is learned."""
 
 
-def assumed_computation(seconds: float | None, profile: Profile, period: float, named: bool) -> SourcedValue:
+def assumed_computation(seconds: float | None, profile: Profile, period: float, uses_actuator: bool) -> SourcedValue:
     """Computation time (s) of a controller: the caller's, that of a named profile, or 0.
 
-    seconds: the caller's, None if not specified; period: control period (s); named: whether the caller named the
-    profile.
+    seconds: the caller's, None if not specified; period: control period (s); uses_actuator: whether
+    the caller named the profile.
     """
     if seconds is not None:
         return SourcedValue(float(seconds), "given")
-    return SourcedValue(profile.delay * period, f"profile {profile.name}") if named else SourcedValue(0.0, DEFAULT)
+    return (
+        SourcedValue(profile.delay * period, f"profile {profile.name}") if uses_actuator else SourcedValue(0.0, DEFAULT)
+    )
 
 
 def belief_about_steering(
-    vehicle: Vehicle, given: GivenSteering, profile: Profile, computation: SourcedValue, named: bool
+    vehicle: Vehicle, steering: GivenSteering, profile: Profile, computation: SourcedValue, uses_actuator: bool
 ) -> Belief:
     """The belief about a car's steering: each number from its first source, `ASSUMED_SOURCE` where it has none.
 
-    The sources are `given` (the caller's), the car file and the profile, in this order; `UNKNOWN`: none of them;
-    computation: `assumed_computation`; named: whether the profile's actuator counts: not where only its sensors are
-    taken by default, nor for a controller that learns, for which a profile is the simulated world.
+    The sources are `steering` (the caller's), the car file and the profile, in this order; `UNKNOWN`: none of them;
+    computation: `assumed_computation`; uses_actuator: whether the profile's actuator counts: not where only its sensors
+    are taken by default, nor for a controller that learns, for which a profile is the simulated world.
     """
     row = row_of(kernel.BeliefRow)
-    kernel.believe_steering(*steering_rows(vehicle, given, profile, named), computation.value, row)
+    kernel.believe_steering(*steering_rows(vehicle, steering, profile, uses_actuator), computation.value, row)
     return belief_of(row, vehicle, profile, computation)
 
 
-def steering_rows(vehicle: Vehicle, given: GivenSteering, profile: Profile, named: bool) -> tuple[Any, Any, Any]:
+def steering_rows(
+    vehicle: Vehicle, steering: GivenSteering, profile: Profile, uses_actuator: bool
+) -> tuple[Any, Any, Any]:
     """The steering of the caller, of the car file and of the profile: rows of `core.synthesis.car.SteeringRow`."""
-    if given == UNKNOWN:
+    if steering == UNKNOWN:
         return row_of(SteeringRow), row_of(SteeringRow), row_of(SteeringRow)
     limit = min(profile.steering.limit, kernel.ANGLE)
-    actuator = row_of(SteeringRow, profile.steering, limit=limit) if named else row_of(SteeringRow)
-    return row_of(SteeringRow, given), row_of(SteeringRow, vehicle.steering), actuator
+    actuator = row_of(SteeringRow, profile.steering, limit=limit) if uses_actuator else row_of(SteeringRow)
+    return row_of(SteeringRow, steering), row_of(SteeringRow, vehicle.steering), actuator
 
 
 def belief_of(row: Any, vehicle: Vehicle, profile: Profile, computation: SourcedValue, seconds: float = 0.0) -> Belief:

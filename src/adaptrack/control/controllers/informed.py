@@ -101,23 +101,25 @@ class MPCParts(NamedTuple):
 
 
 def informed_parts(
-    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
+    vehicle: Vehicle, profile: str | Profile | None, knowledge: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
 ) -> MPCParts:  # fmt: skip
-    """The parts of an MPC that knows its car; arguments as for `MPC`, given: belief, uncertainty and learning.
+    """The parts of an MPC that knows its car; arguments as for `MPC`, knowledge: belief, uncertainty and learning.
 
     Raises
     ------
     InvalidInput
         For arguments that make no controller.
     """
-    order, world, method, computation_time = order_of(vehicle, profile, given, period, estimator, preview, computation)
+    order, world, method, computation_time = order_of(
+        vehicle, profile, knowledge, period, estimator, preview, computation
+    )
     car, step = vehicle, float(order.world.period)
     rows = kernel.InformedParts.new(1)
     rows["filter"] = (KalmanFilter() if estimator is None else estimator).row
     parts = rows[0]
-    if wrong := kernel.informed_parts(order, parts):
-        raise InvalidInput(f"MPC: {_WRONG[wrong]}")
+    if flaw := kernel.informed_parts(order, parts):
+        raise InvalidInput(f"MPC: {_WRONG[flaw]}")
     filtering = KalmanFilter.from_row(parts.filter)
     learner = Learner(method, car, filtering, parts.learner) if parts.learns else None
     seconds = 0.0 if method.start is None else method.start.seconds
@@ -131,12 +133,12 @@ def informed_parts(
         preview=world.preview,
         belief=belief,
         learner=learner,
-        learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, given[2])}{learns}",
+        learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, knowledge[2])}{learns}",
     )
 
 
 def order_of(
-    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
+    vehicle: Vehicle, profile: str | Profile | None, knowledge: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
 ) -> tuple[Any, Profile, Learning, SourcedValue]:  # fmt: skip
     """A row of `core.synthesis.informed.Order`, its profile, the method of learning, and the computation time (s).
@@ -146,15 +148,15 @@ def order_of(
     car, world = vehicle, load_profile(DEFAULT_PROFILE if profile is None else profile)
     world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
     step = _check_period(world.period if period is None else period)
-    steering, uncertainty, learning = given
+    steering, uncertainty, learning = knowledge
     if learning is not None:
         _check_same_car(car, learning)
     method = DEFAULT_LEARNING if learning is None or learning == AUTO else learning
-    named = profile is not None and not isinstance(learning, Learning)
-    computation_time = assumed_computation(computation, world, step, named=profile is not None)
+    uses_actuator = profile is not None and not isinstance(learning, Learning)
+    computation_time = assumed_computation(computation, world, step, uses_actuator=profile is not None)
     loop = world.numbers(step)
     loop.computation = computation_time.value
-    order = _order(car, loop, steering_rows(car, steering, world, named), uncertainty, method)
+    order = _order(car, loop, steering_rows(car, steering, world, uses_actuator), uncertainty, method)
     order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
     order.filter_given = estimator is not None
     return order, world, method, computation_time
@@ -199,5 +201,5 @@ def _learned_ranges(learner: Learner) -> str:
     factor = math.exp(learner.stiffness)
     first = f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s"
     (least, most), (_, latest) = learner.limits
-    more = "" if learner.limits == learner.ranges else f" (not beyond {least:.3g} to {most:.3g} s and {latest:.3g} s)"
-    return f"{first}{more}, stiffness x or / {factor:.3g}"
+    limits = "" if learner.limits == learner.ranges else f" (not beyond {least:.3g} to {most:.3g} s and {latest:.3g} s)"
+    return f"{first}{limits}, stiffness x or / {factor:.3g}"

@@ -99,12 +99,12 @@ class KinematicMPC(CompiledController):
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """See `Controller.check_tuning`; one of the weights of the steering must be positive."""
-        found = super().check_tuning(tuning)
-        if not found["steering"] + found["steering_v2"] > 0.0:
+        entries = super().check_tuning(tuning)
+        if not entries["steering"] + entries["steering_v2"] > 0.0:
             raise InvalidInput(
                 "KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite."
             )
-        return found
+        return entries
 
     @property
     def name(self) -> str:
@@ -115,8 +115,8 @@ class KinematicMPC(CompiledController):
         return kernel.kinematic_mpc
 
     def own_parameters(self) -> Array:
-        car, known = self.vehicle, self.belief
-        head = (car.wheelbase, car.lr, known.lag.value, known.delay, self.pose_age, self.stages, self.step_length)
+        car, belief = self.vehicle, self.belief
+        head = (car.wheelbase, car.lr, belief.lag.value, belief.delay, self.pose_age, self.stages, self.step_length)
         return np.concatenate([head, kernel.limit_rows(self.stages).reshape(-1)])
 
     def problem(
@@ -155,12 +155,12 @@ class KinematicMPC(CompiledController):
     def _changes(self, speeds: Array, before: float, earlier: float) -> list[tuple[Array, Array, Array]]:
         """First and second differences of the inputs over time, D u + d, and their weights: D, d, weights."""
         n, t, h = self.stages, self.tuning, self.step_length
-        each = np.full(n, h)
-        each[0] = self.period  # the first input comes a control period after the last one
-        rate, constant = (np.eye(n) - np.eye(n, k=-1)) / each[:, None], np.zeros(n)
+        durations = np.full(n, h)
+        durations[0] = self.period  # the first input comes a control period after the last one
+        rate, constant = (np.eye(n) - np.eye(n, k=-1)) / durations[:, None], np.zeros(n)
         constant[0] = -before / self.period
-        bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / each[:, None]
-        bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / each
+        bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / durations[:, None]
+        bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / durations
         weights = np.full(n, t["steering_rate"])
         weights[1:] += t["lateral_jerk"] * speeds[:-1] ** 2
         return [(rate, constant, weights), (bend, bent, np.full(n, t["steering_acceleration"]))]
@@ -207,10 +207,10 @@ def kinematic_model(
     return A, B, w, steady
 
 
-def _all_weights(given: Mapping[str, float]) -> dict[str, float]:
-    unknown = [name for name in given if name not in AUTOWARE_WEIGHTS]
+def _all_weights(weights: Mapping[str, float]) -> dict[str, float]:
+    unknown = [name for name in weights if name not in AUTOWARE_WEIGHTS]
     if unknown:
         raise InvalidInput(
             f"KinematicMPC: {', '.join(unknown)}: no weight of it; known are {', '.join(AUTOWARE_WEIGHTS)}."
         )
-    return {**AUTOWARE_WEIGHTS, **given}
+    return {**AUTOWARE_WEIGHTS, **weights}

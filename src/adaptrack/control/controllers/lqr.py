@@ -137,21 +137,21 @@ def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
     """
     (a, b), q = _models(A, B), np.ascontiguousarray(Q, dtype=float)
     n = b.shape[-1]
-    found, work = np.empty(a.shape), np.empty(7 * n * n)
+    solution, work = np.empty(a.shape), np.empty(7 * n * n)
     with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
         for i in np.ndindex(b.shape[:-1]):
-            if laws.riccati(a[i], b[i], q[i], found[i], work) == 0:
+            if laws.riccati(a[i], b[i], q[i], solution[i], work) == 0:
                 raise InvalidInput(_FAR_APART)
-    return found
+    return solution
 
 
 def feedback(A: ArrayLike, B: ArrayLike, P: Array) -> Array:
     """The gains (..., n), (1 + B'PB)^-1 B'PA."""
     a, b = _models(A, B)
-    found = np.empty(b.shape)
+    gains = np.empty(b.shape)
     for i in np.ndindex(b.shape[:-1]):
-        laws.lqr_feedback(a[i], b[i], P[i], found[i])
-    return found
+        laws.lqr_feedback(a[i], b[i], P[i], gains[i])
+    return gains
 
 
 def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
@@ -161,7 +161,7 @@ def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
 @lru_cache(maxsize=64)
 def _parameters(vehicle: Vehicle, period: float, tuning: tuple[float, ...]) -> Array:
     """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
-    found = np.zeros(laws.LQR_NUMBERS)
-    if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), found) == 0:
+    parameters = np.zeros(laws.LQR_NUMBERS)
+    if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), parameters) == 0:
         raise InvalidInput(_FAR_APART)
-    return found[len(laws.Common._fields) :]
+    return parameters[len(laws.Common._fields) :]

@@ -118,8 +118,8 @@ class MPCCommand(NamedTuple):
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """In the order of `MPC.diagnostic_names`."""
-        own = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
-        return (*own, *self.learned)
+        figures = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
+        return (*figures, *self.learned)
 
     @property
     def belief_state(self) -> BeliefState | None:
@@ -136,10 +136,12 @@ def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
 ) -> MPCParts:
     """A model or an estimator of the caller's, the rest as in the paper."""
-    own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
-    if period not in (None, own.period):
-        raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
-    return MPCParts(Tuning(), own, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
+    prediction_model = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
+    if period not in (None, prediction_model.period):
+        raise InvalidInput(
+            f"MPC: period = {period!r} s, but the model's is {prediction_model.period!r} s: give both alike."
+        )
+    return MPCParts(Tuning(), prediction_model, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
 
 
 class MPC(Controller):
@@ -310,8 +312,8 @@ class MPC(Controller):
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
-        known = f"; {self.learns}; steering: {self.belief}" if self.belief is not None else ""
-        return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{known}>"
+        belief = f"; {self.learns}; steering: {self.belief}" if self.belief is not None else ""
+        return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
 
     @property
     def in_kernel(self) -> bool:
@@ -375,8 +377,8 @@ class MPC(Controller):
 
     def _turning(self) -> Array:
         """Rows that compute the moves on a curved road, `core.controllers.feed_forward.TurnIn`; or (0,)."""
-        known = self.model.turning()
-        return np.concatenate([known, self.estimator.tyres]) if known.size else known
+        parameters = self.model.turning()
+        return np.concatenate([parameters, self.estimator.tyres]) if parameters.size else parameters
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
@@ -397,11 +399,11 @@ class MPC(Controller):
         """See `Controller.with_tuning`; the horizons are rounded, and a scheduler has nothing to say any more."""
         entries = self._entries(tuning)
         constant = Tuning(round(entries["Np"]), round(entries["Nc"]), entries["Q"], entries["R"])
-        made = copy.copy(self)
-        made.scheduler, made.tuning = None, constant
-        made._set_sizes(max(self.longest_horizon, constant.Np), max(self.most_moves, constant.Nc))
-        made.reset()
-        return made
+        controller = copy.copy(self)
+        controller.scheduler, controller.tuning = None, constant
+        controller._set_sizes(max(self.longest_horizon, constant.Np), max(self.most_moves, constant.Nc))
+        controller.reset()
+        return controller
 
     def restart(self) -> None:
         """Forget the past, but not what has been learned of the car: for another drive of it."""
@@ -448,11 +450,11 @@ class MPC(Controller):
 
     def warn_of(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> None:
         """Log what a scheduler was made for and does not find here, each once per controller."""
-        for each in self.mismatches(scheduler, profile, plant):
-            said = f"scheduler {getattr(scheduler, 'name', '')!r} {each}"
-            if said not in self._said:
-                self._said.add(said)
-                _log.warning("adaptrack: %s.", said)
+        for mismatch in self.mismatches(scheduler, profile, plant):
+            sentence = f"scheduler {getattr(scheduler, 'name', '')!r} {mismatch}"
+            if sentence not in self._said:
+                self._said.add(sentence)
+                _log.warning("adaptrack: %s.", sentence)
 
     @property
     def kind_of_model(self) -> str:
@@ -571,8 +573,8 @@ class MPC(Controller):
     def _compiled_step(self) -> Callable[[], None]:
         """The step behind the arguments, compiled on first use."""
         if self.in_kernel:
-            given = MPCStep(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
-            self._step = direct(step, given)
+            record = MPCStep(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
+            self._step = direct(step, record)
         else:
             self._step = self._step_through
         return self._step
@@ -596,10 +598,10 @@ class MPC(Controller):
 
     def solved_problem(self) -> tuple[QP, Array]:
         """The QP of the last step, which was solved at a speed above standstill, and its solution x (n,)."""
-        own, ws = self._mpc.memory[0], self._mpc.ws
+        memory, ws = self._mpc.memory[0], self._mpc.ws
         limited = any(map(math.isfinite, self.limits.output))
-        n = int(own.planned) + limited
-        qp = self._qp(n, 4 * int(own.Nc) + (2 * int(own.Np) if limited else 0))
+        n = int(memory.planned) + limited
+        qp = self._qp(n, 4 * int(memory.Nc) + (2 * int(memory.Np) if limited else 0))
         return qp, ws.solution[:n].copy()
 
     def _twin(self) -> Self:
@@ -622,18 +624,18 @@ class MPC(Controller):
         road: RoadAhead | None,
     ) -> None:
         """Take in what a step is given; the reference and the speed as the kernels want them."""
-        known, now = self._state.take(state), self._now
-        now[1] = self._reference.take(reference)
+        n_states, inputs = self._state.take(state), self._now
+        inputs[1] = self._reference.take(reference)
         if type(speed) is not float:
             speed = number("speed", speed)
         if isfinite(speed):
             self._speed, self._without_speed = speed, 0
         else:
             speed = self._last_speed()
-        now[0] = speed
-        if known != self._known:
-            self._measured[known:] = NOTHING_MEASURED[known:]
-            self._known = known
+        inputs[0] = speed
+        if n_states != self._known:
+            self._measured[n_states:] = NOTHING_MEASURED[n_states:]
+            self._known = n_states
         if road is not None or self._curved:
             self._look_along(road_ahead(road), speed)
         if self.scheduler is not None:
@@ -661,11 +663,11 @@ class MPC(Controller):
         if self._resident_plan is None:
             self._ask(variables)
             return
-        given, own = self._given(variables), self._variables
-        if given.size < own.size:
-            own[given.size :] = 0.0
-        own[: given.size] = given
-        self._schedule_step(own, self._resident_plan, self._requested)
+        numbers, values = self._given(variables), self._variables
+        if numbers.size < values.size:
+            values[numbers.size :] = 0.0
+        values[: numbers.size] = numbers
+        self._schedule_step(values, self._resident_plan, self._requested)
 
     def _given(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
@@ -701,8 +703,8 @@ class MPC(Controller):
     def _form(self) -> tuple[int, int, int]:
         speed, count = self._now.tolist()
         ahead = self._reference.values[: int(count)]
-        found: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
-        return found
+        sizes: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
+        return sizes
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -728,13 +730,13 @@ class MPC(Controller):
         apply_move(0, int(status), iterations, n, m, self._resident)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
+        angle, move, is_held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
         learned = () if self.learner is None else tuple(self._learned.tolist())
-        made = (
-            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[status], int(iterations), residual, _AT_LIMIT[at_limit],
-            reckoned, learned,
+        fields = (
+            angle, move, is_held > 0.5, (Np, Nc, Q, R), _STATUSES[status], int(iterations), residual,
+            _AT_LIMIT[at_limit], reckoned, learned,
         )  # fmt: skip
-        return _new(MPCCommand, made)
+        return _new(MPCCommand, fields)
 
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""

@@ -89,12 +89,12 @@ class PreviewLQR(CompiledController):
         return kernel.preview_lqr
 
     def own_parameters(self) -> Array:
-        car, t, known = self.vehicle, self.tuning, self.belief
+        car, t, belief = self.vehicle, self.tuning, self.belief
         e, heading, steps = t["q_e"] / t["r"], t["q_heading"] / t["r"], np.log(WEIGHT_FACTORS)
         head = (
             car.wheelbase, car.lr, car.understeer_gradient,
-            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase), known.lag.value, known.delay, self.pose_age,
-            self.previewed, math.log(GAIN_SPEEDS[0]),
+            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase),
+            belief.lag.value, belief.delay, self.pose_age, self.previewed, math.log(GAIN_SPEEDS[0]),
             math.log(GAIN_SPEEDS[-1] / GAIN_SPEEDS[0]) / (len(GAIN_SPEEDS) - 1), len(GAIN_SPEEDS),
             math.log(e) + steps[0], math.log(heading) + steps[0], steps[1] - steps[0], len(steps),
         )  # fmt: skip
@@ -140,23 +140,23 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
     P = riccati(A, B, Q)
     K = feedback(A, B, P)
     closed = A - B[..., :, None] * K[..., None, :]
-    found = np.empty((*K.shape[:-1], K.shape[-1] + count))
-    found[..., : K.shape[-1]] = -K
-    whole = 1.0 + np.einsum("...i,...ij,...j->...", B, P, B)
+    gains = np.empty((*K.shape[:-1], K.shape[-1] + count))
+    gains[..., : K.shape[-1]] = -K
+    denominator = 1.0 + np.einsum("...i,...ij,...j->...", B, P, B)
     later = np.einsum("...ij,...j->...i", P, X)
     for j in range(count):
-        found[..., K.shape[-1] + j] = np.einsum("...i,...i->...", B, later) / whole
+        gains[..., K.shape[-1] + j] = np.einsum("...i,...i->...", B, later) / denominator
         later = np.einsum("...ji,...j->...i", closed, later)
-    return found
+    return gains
 
 
 @lru_cache(maxsize=64)
 def _grid(model: PathModel, previewed: int, q_e: float, q_heading: float) -> Array:
     """Gains (speeds, weights, weights, n + previewed)."""
     k, n = len(WEIGHT_FACTORS), model.n
-    found = [model.discrete(speed) for speed in GAIN_SPEEDS]
+    models = [model.discrete(speed) for speed in GAIN_SPEEDS]
     turns = [steady_turn(model.vehicle, speed, n)[0] for speed in GAIN_SPEEDS]
-    A = np.broadcast_to(np.array([A for A, _, _ in found])[:, None, None], (len(GAIN_SPEEDS), k, k, n, n))
-    B = np.broadcast_to(np.array([B[:, 0] for _, B, _ in found])[:, None, None], (len(GAIN_SPEEDS), k, k, n))
+    A = np.broadcast_to(np.array([A for A, _, _ in models])[:, None, None], (len(GAIN_SPEEDS), k, k, n, n))
+    B = np.broadcast_to(np.array([B[:, 0] for _, B, _ in models])[:, None, None], (len(GAIN_SPEEDS), k, k, n))
     X = np.broadcast_to(np.array(turns)[:, None, None], B.shape)
     return preview_gains(A, B, X, q_e * WEIGHT_FACTORS[:, None], q_heading * WEIGHT_FACTORS, previewed)

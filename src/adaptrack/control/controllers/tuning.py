@@ -67,9 +67,9 @@ def read_tuning(answer: Any, entries: Sequence[str] = ENTRIES) -> tuple[float, .
     InvalidInput
         When the answer is anything else: None, text, too few or too many numbers, NaN, infinity.
     """
-    given = answer.as_array() if hasattr(answer, "as_array") else answer
+    entry_values = answer.as_array() if hasattr(answer, "as_array") else answer
     try:
-        values = tuple(given)
+        values = tuple(entry_values)
     except TypeError:
         values = ()
     if len(values) != len(entries):

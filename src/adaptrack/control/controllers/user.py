@@ -54,9 +54,9 @@ class UserController(CompiledController):
         self.law, self.label = law, label
         where = f"UserController {label!r}"
         self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}
-        bad = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
-        if bad:
-            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(bad)}.")
+        faulty = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
+        if faulty:
+            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(faulty)}.")
         self.memory_size = whole(where, "memory_size", memory_size, least=0)
         self.tuning_names, self.diagnostic_names = tuple(tuning or {}), tuple(diagnostics)
         if bounds and set(bounds) - set(self.tuning_names):

@@ -335,15 +335,15 @@ def Lookup(
     axes: the nodes of each input, by name; tunings: (len(axis 1), len(axis 2), ..., 4) of Np, Nc, Q, R.
     """
     nodes = {key: np.asarray(values, dtype=np.float64) for key, values in axes.items()}
-    given = np.asarray(tunings, dtype=np.float64)
+    nodal_tunings = np.asarray(tunings, dtype=np.float64)
     shape = tuple(len(values) for values in nodes.values())
-    if given.shape != (*shape, 4):
-        raise InvalidInput(f"Lookup: tunings must have the shape {(*shape, 4)}, they have {given.shape}.")
-    if not np.isfinite(given).all() or (given <= 0.0).any():
+    if nodal_tunings.shape != (*shape, 4):
+        raise InvalidInput(f"Lookup: tunings must have the shape {(*shape, 4)}, they have {nodal_tunings.shape}.")
+    if not np.isfinite(nodal_tunings).all() or (nodal_tunings <= 0.0).any():
         raise InvalidInput("Lookup: every Np, Nc, Q, R must be finite and positive.")
     entries = {}
     for i, entry in enumerate(ENTRIES):
-        values = given[..., i]
+        values = nodal_tunings[..., i]
         log10 = entry in ("Q", "R") and method == "multilinear"
         table = Table(tuple(nodes.values()), np.log10(values) if log10 else values, method)
         entries[entry] = Entry(table, float(values.min()), float(values.max()), log10)

@@ -46,14 +46,14 @@ class ExportTarget:
     """How a target is exported.
 
     compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names;
-    kernels: those that are global; whole: a module, made for speed, not an object.
+    kernels: those that are global; is_module: a module, made for speed, not an object.
     """
 
     target: CompileTarget
     compact: bool = False
     calls: tuple[str, ...] = ()
     kernels: tuple[str, ...] = KERNELS
-    whole: bool = False
+    is_module: bool = False
 
 
 _WHOLE_NUMBERS = ("__aeabi_d2lz", "__aeabi_l2d", "__aeabi_ul2d", "__aeabi_ldivmod", "__aeabi_uldivmod")
@@ -80,7 +80,7 @@ def _exported(name: str) -> ExportTarget:
 
 EXPORT_TARGETS = {
     **{name: _exported(name) for name in _HOSTED},
-    "wasm32-page": ExportTarget(COMPILE_TARGETS["wasm32"], kernels=(*page.CALLED, *page.PAGE_MEMBERS), whole=True),
+    "wasm32-page": ExportTarget(COMPILE_TARGETS["wasm32"], kernels=(*page.CALLED, *page.PAGE_MEMBERS), is_module=True),
     "cortex-m7": ExportTarget(CompileTarget("thumbv7em-unknown-none-eabihf", "cortex-m7"), True, _WHOLE_NUMBERS),
     "cortex-m33": ExportTarget(
         CompileTarget("thumbv8m.main-unknown-none-eabi", "cortex-m33", "-fpregs", tuple(SOFT)),
@@ -131,7 +131,7 @@ def emit_export(text: str, name: str) -> bytes:
     left = [symbol for symbol in undefined(content) if symbol not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
-    return linked(content) if chosen.whole else content
+    return linked(content) if chosen.is_module else content
 
 
 def _hosted(target: CompileTarget) -> bool:
@@ -144,7 +144,7 @@ def _of_these(text: str, chosen: ExportTarget, machine: Any) -> Any:
     if chosen.compact:
         text = text.replace(" alwaysinline", " nounwind")
     text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
-    text = with_soft(text, target, "internal", inlined=chosen.whole)
+    text = with_soft(text, target, "internal", inlined=chosen.is_module)
     if target.lacks:
         kept_symbols = ", ".join(f"ptr @{symbol}" for symbol in target.lacks)
         text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept_symbols}]"

@@ -305,7 +305,7 @@ def _emitted(section: str, name: str, paths: list[Path]) -> tuple[str, str, byte
     from .exports import EXPORT_TARGETS, emit_export
 
     if section == "exports":
-        return f"export-{name}", "wasm" if EXPORT_TARGETS[name].whole else "o", emit_export(joined(paths), name)
+        return f"export-{name}", "wasm" if EXPORT_TARGETS[name].is_module else "o", emit_export(joined(paths), name)
     groups = _objects(paths, name)
     missing = {file: group for file, group in groups.items() if _cached(file) is None}
     if len(missing) > 1:

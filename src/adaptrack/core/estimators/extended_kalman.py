@@ -18,10 +18,10 @@ from ..maths.vectors import VECTOR_WIDTH, fma8, load, mul, splat, spread, store,
 
 
 @inlined
-def carry(mixed, kept, covariance, scratch):
+def carry(mixed, shares, covariance, scratch):
     """P = F P F' of states of which the first mix and each other one keeps a share of itself.
 
-    mixed: the first rows of F (m, .); kept: the diagonal of the others (n,), the first m of no account; covariance: P
+    mixed: the first rows of F (m, .); shares: the diagonal of the others (n,), the first m of no account; covariance: P
     (n, .); scratch (m, .).
     """
     m, n, width = mixed.shape[0], covariance.shape[0], covariance.shape[1]
@@ -39,11 +39,11 @@ def carry(mixed, kept, covariance, scratch):
             covariance[i, j] = total(products)
             covariance[j, i] = covariance[i, j]
     for i in range(m, n):
-        share = splat(kept[i])
+        share = splat(shares[i])
         for b in range(0, width, VECTOR_WIDTH):
-            store(covariance, i, b, mul(mul(share, load(kept, b)), load(covariance, i, b)))
+            store(covariance, i, b, mul(mul(share, load(shares, b)), load(covariance, i, b)))
         for j in range(m):
-            covariance[i, j] = kept[i] * scratch[j, i]
+            covariance[i, j] = shares[i] * scratch[j, i]
             covariance[j, i] = covariance[i, j]
 
 

@@ -127,9 +127,9 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
     """
     across = fast_cosine(steer)
     force = 2.0 * across * lateral_force(slip, load, friction, stiffness, c, law)
-    more = lateral_force(slip + _SLIP_STEP, load, friction, stiffness, c, law)
-    less = lateral_force(slip - _SLIP_STEP, load, friction, stiffness, c, law)
-    by_slip = across * (more - less) * (1.0 / _SLIP_STEP)
+    force_above = lateral_force(slip + _SLIP_STEP, load, friction, stiffness, c, law)
+    force_below = lateral_force(slip - _SLIP_STEP, load, friction, stiffness, c, law)
+    by_slip = across * (force_above - force_below) * (1.0 / _SLIP_STEP)
     by_stiffness = by_slip * slip
     return force, by_slip, (force if law == LINEAR_TYRE else force - by_stiffness), by_stiffness
 
@@ -187,13 +187,13 @@ def _added_variance(spread, left):
 
 
 @inlined
-def _predict(angle, yaw, vx, p, s, own):
+def _predict(angle, yaw, vx, p, s, m):
     """Carry z and its covariance over one step, under the steering angle, yaw and speed of its middle; s: settings.
 
     v_y and r by the linearised trapezoidal rule, (I - T/2 A) dx = T f with A = df/dx, stable at any speed; the others
     by their exact decay. Covariance: Phi P Phi' + Q with the Jacobian Phi of this map.
     """
-    z, P, slopes, mixed = own.z, own.covariance, _motion(), _motion()
+    z, P, slopes, mixed = m.z, m.covariance, _motion(), _motion()
     lateral, yawing, front, rear = accelerations(angle, yaw, vx, p, z, slopes)
     slopes[VY_STATE, YAW_RATE_STATE] -= vx  # from here on the row is that of dv_y/dt
     half = 0.5 * s.step
@@ -231,7 +231,7 @@ def _predict(angle, yaw, vx, p, s, own):
 
 
 @inlined
-def _take_in(innovation, deviation, h, own):
+def _take_in(innovation, deviation, h, m):
     """Correct z by a sensor of a standard deviation; h: derivatives of its reading over z.
 
     Beyond `TRUSTED` standard deviations the variance of the innovation grows with it, so that an outlier moves no more
@@ -240,25 +240,25 @@ def _take_in(innovation, deviation, h, own):
     if not abs(innovation) < IMPOSSIBLE_SIGNAL:
         return
     cross = _states()
-    variance = scatter(deviation * deviation, h, own.covariance, cross)
+    variance = scatter(deviation * deviation, h, m.covariance, cross)
     variance *= max(1.0, abs(innovation) / (TRUSTED * sqrt(variance)))
-    correct(innovation, variance, cross, own.z, own.covariance)
+    correct(innovation, variance, cross, m.z, m.covariance)
 
 
 @inlined
-def _begin(s, own):
+def _begin(s, m):
     """Before the first measurement."""
     spread = _states()
     spread[VY_STATE], spread[YAW_RATE_STATE] = UNKNOWN_MOTION, UNKNOWN_MOTION
     spread[LOG_FRICTION], spread[WIND_STATE] = s.prior.friction_spread, s.prior.wind_spread
     spread[LOG_STIFFNESS] = s.prior.stiffness_spread
     for i in range(N):
-        own.z[i] = 0.0
+        m.z[i] = 0.0
         for j in range(N):
-            own.covariance[i, j] = 0.0
-        own.covariance[i, i] = spread[i] * spread[i]
-    own.z[LOG_FRICTION] = s.log_friction
-    own.started = 1.0
+            m.covariance[i, j] = 0.0
+        m.covariance[i, i] = spread[i] * spread[i]
+    m.z[LOG_FRICTION] = s.log_friction
+    m.started = 1.0
 
 
 @exported(void(int64, vector, float64, float64, float64, vector, vector, rows(Memory)))
@@ -273,23 +273,23 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
     A filter whose state or variances are not finite begins anew.
     """
-    own = memory[slot]
-    z, P, s = own.z, own.covariance, _settings_of(settings, 0)
-    yaw = measured[MEASUREMENT.yaw] if abs(measured[MEASUREMENT.yaw]) < IMPOSSIBLE_SIGNAL else own.yaw
-    speed = speed if abs(speed) < IMPOSSIBLE_SIGNAL else own.speed
-    command = command if abs(command) < IMPOSSIBLE_SIGNAL else own.waiting
-    if own.started > 0.5 and abs(z[VY_STATE]) < IMPOSSIBLE_SIGNAL and abs(z[YAW_RATE_STATE]) < IMPOSSIBLE_SIGNAL:
+    m = memory[slot]
+    z, P, s = m.z, m.covariance, _settings_of(settings, 0)
+    yaw = measured[MEASUREMENT.yaw] if abs(measured[MEASUREMENT.yaw]) < IMPOSSIBLE_SIGNAL else m.yaw
+    speed = speed if abs(speed) < IMPOSSIBLE_SIGNAL else m.speed
+    command = command if abs(command) < IMPOSSIBLE_SIGNAL else m.waiting
+    if m.started > 0.5 and abs(z[VY_STATE]) < IMPOSSIBLE_SIGNAL and abs(z[YAW_RATE_STATE]) < IMPOSSIBLE_SIGNAL:
         c = unpack(p)
-        acting = own.waiting if s.delay > 0.5 else command
+        acting = m.waiting if s.delay > 0.5 else command
         for i in range(whole(s.steps)):
             share = (i + 0.5) / s.steps
-            middle = steered(own.angle, acting, 0.5 * s.step, c)
-            own.angle = steered(own.angle, acting, s.step, c)
-            turned, driven = share * (yaw - own.yaw), share * (speed - own.speed)
-            _predict(middle, own.yaw + turned, own.speed + driven, p, s, own)
+            middle = steered(m.angle, acting, 0.5 * s.step, c)
+            m.angle = steered(m.angle, acting, s.step, c)
+            turned, gained = share * (yaw - m.yaw), share * (speed - m.speed)
+            _predict(middle, m.yaw + turned, m.speed + gained, p, s, m)
     else:
-        _begin(s, own)
-    own.waiting, own.yaw, own.speed = command, yaw, speed
+        _begin(s, m)
+    m.waiting, m.yaw, m.speed = command, yaw, speed
 
     for state, sensor, noise in (
         (VY_STATE, MEASUREMENT.vy, s.noise_vy),
@@ -297,18 +297,18 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
     ):
         h = _states()
         h[state] = 1.0
-        _take_in(measured[sensor] - z[state], noise, h, own)
+        _take_in(measured[sensor] - z[state], noise, h, m)
     if abs(acceleration) < IMPOSSIBLE_SIGNAL:
         slopes, h = _motion(), _states()
-        lateral, _, _, _ = accelerations(own.angle, yaw, speed, p, z, slopes)
+        lateral, _, _, _ = accelerations(m.angle, yaw, speed, p, z, slopes)
         for j in range(N):
             h[j] = slopes[VY_STATE, j]
-        _take_in(acceleration - lateral, s.noise_acceleration, h, own)
+        _take_in(acceleration - lateral, s.noise_acceleration, h, m)
 
     z[LOG_FRICTION] = clip(z[LOG_FRICTION], s.log_least_friction, s.log_most_friction)
     z[WIND_STATE] = clip(z[WIND_STATE], -s.prior.most_wind, s.prior.most_wind)
     most = MAX_STIFFNESS_SIGMAS * s.prior.stiffness_spread
     z[LOG_STIFFNESS] = clip(z[LOG_STIFFNESS], -most, most)
-    own.friction, own.wind = exp(z[LOG_FRICTION]), z[WIND_STATE]
-    own.friction_std = own.friction * sqrt(P[LOG_FRICTION, LOG_FRICTION])
-    own.wind_std = sqrt(P[WIND_STATE, WIND_STATE])
+    m.friction, m.wind = exp(z[LOG_FRICTION]), z[WIND_STATE]
+    m.friction_std = m.friction * sqrt(P[LOG_FRICTION, LOG_FRICTION])
+    m.wind_std = sqrt(P[WIND_STATE, WIND_STATE])

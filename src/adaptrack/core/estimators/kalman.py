@@ -160,13 +160,13 @@ def forget_speed(memory):
 
 
 @inlined
-def shift_bias(more, side, turn, memory):
+def shift_bias(change, side, turn, memory):
     """Explain so much (rad) of the disturbances by a bias: per rad it pushes by `side` (m/s^2) and `turn` (rad/s^2)."""
     m = memory_of(memory, 0)
     for z in (m.z, m.past_z):
-        z[FILTER_STATE.wheel_angle] += more
-        z[FILTER_STATE.side] -= side * more
-        z[FILTER_STATE.turn] -= turn * more
+        z[FILTER_STATE.wheel_angle] += change
+        z[FILTER_STATE.side] -= side * change
+        z[FILTER_STATE.turn] -= turn * change
 
 
 @inlined
@@ -288,9 +288,9 @@ def _predict(turned, older, newer, p, m):
     if turned != 0.0:  # heading and offset count from the path
         m.z[FILTER_STATE.yaw] -= turned
         m.z[FILTER_STATE.y] -= 0.5 * m.speed * p.period * turned
-    kept, scratch = _state(), _rows()
-    store(kept, 0, splat(1.0))
-    extended_kalman.carry(m.F, kept, m.P, scratch)
+    ones, scratch = _state(), _rows()
+    store(ones, 0, splat(1.0))
+    extended_kalman.carry(m.F, ones, m.P, scratch)
     _add_drifts(p, m)
 
 
@@ -343,19 +343,21 @@ def _correct(instant, p, m, samples):
         if not math.isfinite(samples[instant, sensor]):
             continue
         h, cross = _state(), _state()
-        beside = _read(sensor, samples[instant, FILTER_SAMPLE.earlier], samples[instant, FILTER_SAMPLE.turned], p, m, h)
-        expected = total(mul(load(h, 0), load(m.z, 0))) + beside + m.offset[sensor]
+        constant = _read(
+            sensor, samples[instant, FILTER_SAMPLE.earlier], samples[instant, FILTER_SAMPLE.turned], p, m, h
+        )
+        expected = total(mul(load(h, 0), load(m.z, 0))) + constant + m.offset[sensor]
         innovation = samples[instant, sensor] - expected
         noise = p.variance[sensor]
         if sensor == MEASUREMENT.lateral_acceleration:
             noise += m.felt_error
         variance = extended_kalman.scatter(noise, h, m.P, cross)
-        left_out = m.left_out == sensor + 1
+        is_left_out = m.left_out == sensor + 1
         if instant == p.late:  # every sample once
             disagreement = min(square(innovation) / variance, 2.0 * p.bound * p.bound)
-            share = p.regaining if left_out else p.forgetting
+            share = p.regaining if is_left_out else p.forgetting
             m.disagreement[sensor] += share * (disagreement - m.disagreement[sensor])
-        if left_out:
+        if is_left_out:
             continue
         innovation = extended_kalman.bounded(innovation, variance, p.bound)
         extended_kalman.correct(innovation, variance, cross, m.z, m.P)
@@ -372,13 +374,13 @@ def _choose_left_out(p, m):
     """
     worst, most, out = -1, p.distrust, whole(m.left_out) - 1
     for sensor in range(SENSOR_COUNT):
-        found = m.disagreement[sensor]
+        disagreement = m.disagreement[sensor]
         if sensor == MEASUREMENT.yaw_rate:
-            found = m.disagreement[MEASUREMENT.yaw]
-        elif found < m.disagreement[MEASUREMENT.yaw_rate] or _is_of_pose(sensor):
+            disagreement = m.disagreement[MEASUREMENT.yaw]
+        elif disagreement < m.disagreement[MEASUREMENT.yaw_rate] or _is_of_pose(sensor):
             continue
-        if found > most and p.variance[sensor] > square(LEAST_NOISE[sensor]):
-            worst, most = sensor, found
+        if disagreement > most and p.variance[sensor] > square(LEAST_NOISE[sensor]):
+            worst, most = sensor, disagreement
     if out < 0:
         m.left_out = worst + 1.0
     elif m.disagreement[out] < p.trust:
@@ -429,8 +431,10 @@ def _is_far_off(measured, m):
     """Whether position or heading have been elsewhere for so long that bounded innovations would not bring z back."""
     y, yaw = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw]
     if math.isfinite(y) and math.isfinite(yaw) and m.steps > 0.5:
-        far = abs(y - m.z[FILTER_STATE.y]) > MAX_OUTLIER_DISTANCE or abs(yaw - m.z[FILTER_STATE.yaw]) > MAX_OUTLIER_TURN
-        m.far = m.far + 1.0 if far else 0.0
+        is_outlier = (
+            abs(y - m.z[FILTER_STATE.y]) > MAX_OUTLIER_DISTANCE or abs(yaw - m.z[FILTER_STATE.yaw]) > MAX_OUTLIER_TURN
+        )
+        m.far = m.far + 1.0 if is_outlier else 0.0
     return m.far >= RESTART_OUTLIERS
 
 
@@ -461,10 +465,10 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     _wait(p, m, commands, z)
     _move(m.F, push)
     _steer(m.b, p.bias, push)
-    known = m.blind <= p.patience
+    is_valid = m.blind <= p.patience
     for i in range(x.size):
         state = (
             i if i < FILTER_STATE.wheel_angle or x.size == path.PATH_STATES else FILTER_STATE.y
         )  # without lag its angle is no state
-        x[i], d[i] = z[state] if known else math.nan, push[state]
+        x[i], d[i] = z[state] if is_valid else math.nan, push[state]
     return m.blind * p.period

@@ -180,56 +180,57 @@ LIVELY, SETTLED = 3.0, 8
 _TERMS = 7
 
 LEARN = void(float64, vector, float64, int64, vector, vector)
-"""``learn(speed, measured, command, left_out, parameters, memory)``: take in what was measured (`MEASUREMENT`) at a
-speed (m/s) and the command (rad) of a period ago; left_out: 1 + a sensor not to be believed, 0: none."""
+"""``learn(speed, measured, command, excluded, parameters, memory)``: take in what was measured (`MEASUREMENT`) at a
+speed (m/s) and the command (rad) of a period ago; excluded: 1 + a sensor not to be believed, 0: none."""
 
 BELIEVE = void(vector, vector, vector, vector, vector)
-"""``believe(parameters, memory, model, own, remembered)``: let model and filter of the controller believe what is
-learned; model: parameters of the path model; own, remembered: parameters and memory of the filter."""
+"""``believe(parameters, memory, model, filter_parameters, remembered)``: let model and filter of the controller believe
+what is learned; model: parameters of the path model; filter_parameters, remembered: parameters and memory of the
+filter."""
 
 
-def memory_size(kept: int, hypotheses: int) -> int:
+def memory_size(commands: int, hypotheses: int) -> int:
     """Numbers that the learner remembers."""
-    return _SENT + kept + _HYPOTHESIS * hypotheses
+    return _SENT + commands + _HYPOTHESIS * hypotheses
 
 
 @inlined
-def hypothesis(i, kept, memory):
+def hypothesis(i, commands, memory):
     """The i-th hypothesis, behind so many commands."""
-    return _hypothesis(memory, _SENT + whole(kept) + _HYPOTHESIS * i)
+    return _hypothesis(memory, _SENT + whole(commands) + _HYPOTHESIS * i)
 
 
 @inlined
-def _steer(own, time, rate, command):
+def _steer(candidate, time, rate, command):
     """Let the wheels of a hypothesis follow a command for a time (s)."""
-    lag, angle, slope = own.x[STEERING_LAG], own.wheels, own.by_lag
+    lag, angle, slope = candidate.x[STEERING_LAG], candidate.wheels, candidate.by_lag
     gap = command - angle
     if abs(gap) > rate * lag:
         limited = min(time, abs(gap) / rate - lag)
         turned = math.copysign(rate * limited, gap)
-        own.swept += limited * (angle + 0.5 * turned)
-        own.swept_by_lag += limited * slope
+        candidate.swept += limited * (angle + 0.5 * turned)
+        candidate.swept_by_lag += limited * slope
         angle += turned
         gap -= turned
         time -= limited
     left = exp(-time / lag)
     after = left * (slope - gap * time / (lag * lag))
-    own.swept += time * command - gap * lag * (1.0 - left)
-    own.swept_by_lag += 0.5 * time * (slope + after)
-    own.wheels, own.by_lag = command - gap * left, after
+    candidate.swept += time * command - gap * lag * (1.0 - left)
+    candidate.swept_by_lag += 0.5 * time * (slope + after)
+    candidate.wheels, candidate.by_lag = command - gap * left, after
 
 
 @inlined
-def _follow(own, age, p, memory):
+def _follow(candidate, age, p, memory):
     """The wheels of a hypothesis over the period before a sample of an age (s)."""
-    late, sent = (own.x[DEAD_TIME] + age) / p.period, memory[_SENT:]
+    late, sent = (candidate.x[DEAD_TIME] + age) / p.period, memory[_SENT:]
     periods = min(whole(late + 1e-9), whole(p.kept) - 2)
     share, before = clip(late - periods, 0.0, 1.0), periods + 1
-    own.swept, own.swept_by_lag = 0.0, 0.0
+    candidate.swept, candidate.swept_by_lag = 0.0, 0.0
     if share > 0.0:
-        _steer(own, share * p.period, p.rate, sent[before])
+        _steer(candidate, share * p.period, p.rate, sent[before])
     if share < 1.0:
-        _steer(own, (1.0 - share) * p.period, p.rate, sent[periods])
+        _steer(candidate, (1.0 - share) * p.period, p.rate, sent[periods])
 
 
 @inlined
@@ -242,9 +243,9 @@ def _axle(slip, stiffness, most):
 
 
 @inlined
-def _axles(own, speed, angle, p):
+def _axles(candidate, speed, angle, p):
     """Front and rear axle at a wheel angle (rad)."""
-    x = own.x
+    x = candidate.x
     grip = GRAVITY * exp(x[FRICTION]) / (p.lf + p.lr)
     factor, balance = exp(x[STIFFNESS_SCALE]), exp(x[BALANCE])
     slip_front = angle + x[BIAS] - (x[LATERAL_VELOCITY] + p.lf * x[YAW_RATE]) / speed
@@ -309,15 +310,15 @@ def _phi1(vv, vr, rv, rr):
 
 
 @inlined
-def _predict_state(own, speed, by_dead_time, p, mixed):
+def _predict_state(candidate, speed, by_dead_time, p, mixed):
     """x a period later, by the exponential Euler method, and F's rows of v_y and r; the axles' forces (m/s^2).
 
     With A = d(dv_y/dt, dr/dt)/dx, J its columns of v_y and r and h the period, dx = h phi_1(h J) (dv_y/dt, dr/dt) and
     F = [I 0] + h phi_1(h J) A. by_dead_time: derivative of the wheel angle (rad/s).
     """
-    x, h, of_front, of_rear = own.x, p.period, _states(), _states()
-    front, rear = _axles(own, speed, own.swept / h, p)
-    _derive(front, rear, speed, own.swept_by_lag / h, by_dead_time, p, of_front, of_rear)
+    x, h, of_front, of_rear = candidate.x, p.period, _states(), _states()
+    front, rear = _axles(candidate, speed, candidate.swept / h, p)
+    _derive(front, rear, speed, candidate.swept_by_lag / h, by_dead_time, p, of_front, of_rear)
     pull, turn = _accelerations(front.force, rear.force, p)
     rate_vy, rate_r = pull - speed * x[YAW_RATE] + x[WIND_FORCE] + x[BANK], turn + p.wind_turn * x[WIND_FORCE]
     vy_by_vy, r_by_vy = _accelerations(of_front[LATERAL_VELOCITY], of_rear[LATERAL_VELOCITY], p)
@@ -355,13 +356,13 @@ def _predict_state(own, speed, by_dead_time, p, mixed):
 
 
 @inlined
-def _predict_covariance(own, mixed, f, g, p):
+def _predict_covariance(candidate, mixed, f, g, p):
     """P = F P F' + drift; f, g: forces of the axles over the mass (m/s^2)."""
-    P, kept = own.covariance, _states()
+    P, shares = candidate.covariance, _states()
     for state in range(LEARNER_STATES):
-        kept[state] = 1.0
-    kept[WIND_FORCE], kept[BANK], kept[FRICTION] = p.wind_left, p.bank_left, p.friction_left
-    carry(mixed, kept, P, _motion())
+        shares[state] = 1.0
+    shares[WIND_FORCE], shares[BANK], shares[FRICTION] = p.wind_left, p.bank_left, p.friction_left
+    carry(mixed, shares, P, _motion())
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
     sliding = square(p.method.sliding) * p.period
@@ -383,40 +384,42 @@ def _predict_covariance(own, mixed, f, g, p):
 
 
 @inlined
-def _reading(sensor, own, speed, by_dead_time, p, h):
+def _reading(sensor, candidate, speed, by_dead_time, p, h):
     """What a sensor reads of x; h: its derivatives over x. by_dead_time: derivative of the wheel angle (rad/s)."""
     if sensor == MEASUREMENT.lateral_acceleration:  # F_f + F_r + w
         of_front, of_rear = _states(), _states()
-        front, rear = _axles(own, speed, own.wheels, p)
-        _derive(front, rear, speed, own.by_lag, by_dead_time, p, of_front, of_rear)
+        front, rear = _axles(candidate, speed, candidate.wheels, p)
+        _derive(front, rear, speed, candidate.by_lag, by_dead_time, p, of_front, of_rear)
         for state in range(LEARNER_STATES):
             h[state] = of_front[state] + of_rear[state]
         h[WIND_FORCE] = 1.0
-        return front.force + rear.force + own.x[WIND_FORCE]
+        return front.force + rear.force + candidate.x[WIND_FORCE]
     if sensor == MEASUREMENT.wheel_angle:  # delta + o
-        h[STEERING_LAG], h[DEAD_TIME], h[OFFSET] = own.by_lag, by_dead_time, 1.0
-        return own.wheels + own.x[OFFSET]
+        h[STEERING_LAG], h[DEAD_TIME], h[OFFSET] = candidate.by_lag, by_dead_time, 1.0
+        return candidate.wheels + candidate.x[OFFSET]
     state = LATERAL_VELOCITY if sensor == MEASUREMENT.vy else YAW_RATE
     h[state] = 1.0
-    return own.x[state]
+    return candidate.x[state]
 
 
 @inlined
-def _take_in(sensor, value, variance, own, speed, by_dead_time, p):
+def _take_in(sensor, value, variance, candidate, speed, by_dead_time, p):
     """Correct x and P by a sensor of a variance; the log-likelihood of what it reads."""
     h, cross = _states(), _states()
-    innovation = value - _reading(sensor, own, speed, by_dead_time, p, h)
-    variance = scatter(variance, h, own.covariance, cross)
-    correct(bounded(innovation, variance, p.method.innovation_bound), variance, cross, own.x, own.covariance)
+    innovation = value - _reading(sensor, candidate, speed, by_dead_time, p, h)
+    variance = scatter(variance, h, candidate.covariance, cross)
+    correct(
+        bounded(innovation, variance, p.method.innovation_bound), variance, cross, candidate.x, candidate.covariance
+    )
     surprise = min(square(innovation) / variance, square(p.method.innovation_bound))
-    own.disagreement += surprise
+    candidate.disagreement += surprise
     return -0.5 * (surprise + log(variance))
 
 
 @inlined
-def _bound(own, p):
+def _bound(candidate, p):
     """Keep what is learned within what was given."""
-    x = own.x
+    x = candidate.x
     x[STIFFNESS_SCALE] = clip(x[STIFFNESS_SCALE], -p.most_stiffness, p.most_stiffness)
     x[BALANCE] = clip(x[BALANCE], -p.most_balance, p.most_balance)
     x[BIAS] = clip(x[BIAS], -p.method.bias, p.method.bias)
@@ -426,41 +429,47 @@ def _bound(own, p):
 
 
 @inlined
-def _is_usable(sensor, left_out, p, measured, m):
+def _is_usable(sensor, excluded, p, measured, m):
     """Whether a sensor gives a new sample that may be believed."""
     value, variance = measured[sensor], p.variance[sensor]
     stuck = kalman.is_repeated(sensor, m.last[sensor], variance, measured)
-    return math.isfinite(value) and variance < math.inf and not stuck and left_out != sensor + 1
+    return math.isfinite(value) and variance < math.inf and not stuck and excluded != sensor + 1
 
 
 @inlined
 def _learn_noise(sensor, p, measured, m):
     """The variance of a sensor, by third differences of its samples."""
-    known, value = p.variance[sensor], measured[sensor]
-    if not known < math.inf:
+    declared, value = p.variance[sensor], measured[sensor]
+    if not declared < math.inf:
         return
-    one, two, three = m.last[sensor], m.second_last[sensor], m.third_last[sensor]
-    difference = value - 3.0 * one + 3.0 * two - three
-    if math.isfinite(difference) and value != one and one != two and two != three and m.slow < 0.5:
+    last, second_last, third_last = m.last[sensor], m.second_last[sensor], m.third_last[sensor]
+    difference = value - 3.0 * last + 3.0 * second_last - third_last
+    if (
+        math.isfinite(difference)
+        and value != last
+        and last != second_last
+        and second_last != third_last
+        and m.slow < 0.5
+    ):
         m.noise_count[sensor] += 1.0
-        count, found = m.noise_count[sensor], m.noise[sensor]
-        squared, wide = difference * difference / 20.0, p.method.noise_range * p.method.noise_range
+        count, noise = m.noise_count[sensor], m.noise[sensor]
+        squared, widening = difference * difference / 20.0, p.method.noise_range * p.method.noise_range
         if count > SETTLED:
-            squared = min(squared, LIVELY * LIVELY * found)
-        found += max(1.0 / count, p.noise_share) * (squared - found)
-        least = max(known / wide, square(kalman.LEAST_NOISE[sensor]))
-        m.noise[sensor] = clip(found, least, max(known * wide, least))
-    m.third_last[sensor], m.second_last[sensor], m.last[sensor] = two, one, value
+            squared = min(squared, LIVELY * LIVELY * noise)
+        noise += max(1.0 / count, p.noise_share) * (squared - noise)
+        least = max(declared / widening, square(kalman.LEAST_NOISE[sensor]))
+        m.noise[sensor] = clip(noise, least, max(declared * widening, least))
+    m.third_last[sensor], m.second_last[sensor], m.last[sensor] = second_last, last, value
 
 
 @inlined
-def _lose_motion(own):
+def _lose_motion(candidate):
     """Know no more of the motion of the car."""
     for state in range(WIND_FORCE):
-        own.x[state] = 0.0
+        candidate.x[state] = 0.0
         for j in range(LEARNER_STATES):
-            own.covariance[state, j], own.covariance[j, state] = 0.0, 0.0
-        own.covariance[state, state] = UNKNOWN_MOTION_VARIANCE
+            candidate.covariance[state, j], candidate.covariance[j, state] = 0.0, 0.0
+        candidate.covariance[state, state] = UNKNOWN_MOTION_VARIANCE
 
 
 @inlined
@@ -472,20 +481,20 @@ def _begin(p, measured, command, m, memory):
     for sensor in range(kalman.SENSOR_COUNT):
         m.last[sensor], m.second_last[sensor], m.third_last[sensor] = measured[sensor], math.nan, math.nan
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        own.wheels, own.by_lag = command, 0.0
-        _lose_motion(own)
+        candidate = hypothesis(i, p.kept, memory)
+        candidate.wheels, candidate.by_lag = command, 0.0
+        _lose_motion(candidate)
         for state, sensor in ((LATERAL_VELOCITY, MEASUREMENT.vy), (YAW_RATE, MEASUREMENT.yaw_rate)):
-            own.x[state] = measured[sensor] if math.isfinite(measured[sensor]) else 0.0
+            candidate.x[state] = measured[sensor] if math.isfinite(measured[sensor]) else 0.0
 
 
 @inlined
 def _creep(age, p, memory):
     """Of a car that stands or creeps only the wheels move; its motion is unknown after."""
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        _follow(own, age, p, memory)
-        _lose_motion(own)
+        candidate = hypothesis(i, p.kept, memory)
+        _follow(candidate, age, p, memory)
+        _lose_motion(candidate)
 
 
 @inlined
@@ -506,10 +515,10 @@ def _weigh(p, memory):
     for i in range(count):
         best = max(best, hypothesis(i, p.kept, memory).evidence)
     for i in range(count):
-        own = hypothesis(i, p.kept, memory)
-        own.evidence = max(own.evidence - best, LOWEST)
-        own.weight = exp(own.evidence)
-        total += own.weight
+        candidate = hypothesis(i, p.kept, memory)
+        candidate.evidence = max(candidate.evidence - best, LOWEST)
+        candidate.weight = exp(candidate.evidence)
+        total += candidate.weight
     for i in range(count):
         hypothesis(i, p.kept, memory).weight /= total
 
@@ -519,20 +528,20 @@ def _mean(state, p, memory):
     """Mean of a state over the hypotheses."""
     mean = 0.0
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        mean += own.weight * own.x[state]
+        candidate = hypothesis(i, p.kept, memory)
+        mean += candidate.weight * candidate.x[state]
     return mean
 
 
 @inlined
-def _covariance(one, other, p, memory):
+def _covariance(state, other, p, memory):
     """Covariance of two states: that of their means over the hypotheses, and the mean of that within each."""
-    a, b = _mean(one, p, memory), _mean(other, p, memory)
+    a, b = _mean(state, p, memory), _mean(other, p, memory)
     total = 0.0
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        between = (own.x[one] - a) * (own.x[other] - b)
-        total += own.weight * (between + own.covariance[one, other])
+        candidate = hypothesis(i, p.kept, memory)
+        between = (candidate.x[state] - a) * (candidate.x[other] - b)
+        total += candidate.weight * (between + candidate.covariance[state, other])
     return total
 
 
@@ -543,23 +552,23 @@ def _moments(state, p, memory):
 
 
 @inlined
-def _toward(now, wanted, most):
+def _toward(value, target, most):
     """A step from a number towards a wanted one, so much up or down at most."""
-    return now + clip(wanted - now, -most, most)
+    return value + clip(target - value, -most, most)
 
 
 @inlined
 def _widened(variance, unmodelled, prior, bound, p, m):
     """A standard deviation as reported: not too small, not below the prior's at a bound, else not much above it."""
-    found = sqrt(square(p.method.sigma_inflation) * variance + square(unmodelled))
+    sigma = sqrt(square(p.method.sigma_inflation) * variance + square(unmodelled))
     least = prior if m.beliefs.belief_at_bound == 1.0 + bound else 0.0
-    return max(min(found, max(prior, sqrt(variance))), least)
+    return max(min(sigma, max(prior, sqrt(variance))), least)
 
 
 @inlined
 def _find_bound(p, m, memory):
     """1 + the quantity whose mean is at the end of its range, or 0; no delay at all and rigid tyres are no bounds."""
-    was, found = m.beliefs.belief_at_bound, 0.0
+    was, bound = m.beliefs.belief_at_bound, 0.0
     for quantity in range(len(QUANTITIES_BOUNDED)):
         if quantity == LAG_BOUND:
             value, low, high = _mean(STEERING_LAG, p, memory), p.least_lag, p.most_lag
@@ -579,9 +588,9 @@ def _find_bound(p, m, memory):
         share = BOUND_EXIT_SHARE if was == 1.0 + quantity else BOUND_ENTRY_SHARE
         width = 2.0 * high if low == -math.inf else high - low
         at_end = min(value - low, high - value) < share * width
-        if width > 0.0 and at_end and (found == 0.0 or was == 1.0 + quantity):
-            found = 1.0 + quantity
-    return found
+        if width > 0.0 and at_end and (bound == 0.0 or was == 1.0 + quantity):
+            bound = 1.0 + quantity
+    return bound
 
 
 @inlined
@@ -605,19 +614,19 @@ def _find_state(p, m, memory):
 def _return_to_prior(p, memory):
     """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        own.evidence *= 1.0 - p.return_share
-        _grow(STEERING_LAG, p.prior_lag, own, p)
-        _grow(DEAD_TIME, p.prior_dead_time, own, p)
-        _grow(STIFFNESS_SCALE, p.prior_stiffness, own, p)
-        _grow(BALANCE, 0.5 * p.prior_balance, own, p)
-        _grow(BIAS, p.prior_bias, own, p)
+        candidate = hypothesis(i, p.kept, memory)
+        candidate.evidence *= 1.0 - p.return_share
+        _grow(STEERING_LAG, p.prior_lag, candidate, p)
+        _grow(DEAD_TIME, p.prior_dead_time, candidate, p)
+        _grow(STIFFNESS_SCALE, p.prior_stiffness, candidate, p)
+        _grow(BALANCE, 0.5 * p.prior_balance, candidate, p)
+        _grow(BIAS, p.prior_bias, candidate, p)
 
 
 @inlined
-def _grow(state, prior, own, p):
+def _grow(state, prior, candidate, p):
     """A variance on its way to the prior's."""
-    own.covariance[state, state] += p.return_share * max(square(prior) - own.covariance[state, state], 0.0)
+    candidate.covariance[state, state] += p.return_share * max(square(prior) - candidate.covariance[state, state], 0.0)
 
 
 @inlined
@@ -667,25 +676,27 @@ def _write_beliefs(p, m, memory):
 
 
 @inlined
-def _advance(own, speed, age, measured, variance, p, memory):
+def _advance(candidate, speed, age, measured, variance, p, memory):
     """A hypothesis a period later, by what was measured; the log-likelihood of that.
 
     age: of the samples (s); variance: of the sensors, inf: not to be taken in.
     """
-    before = own.wheels
-    _follow(own, age, p, memory)
-    mixed, by_dead_time = _motion(), (before - own.wheels) / p.period
-    f, g = _predict_state(own, speed, by_dead_time, p, mixed)
-    _predict_covariance(own, mixed, f, g, p)
-    lag, dead_time, likelihood, taken_in = own.x[STEERING_LAG], own.x[DEAD_TIME], 0.0, 0.0
-    own.disagreement = 0.0
+    before = candidate.wheels
+    _follow(candidate, age, p, memory)
+    mixed, by_dead_time = _motion(), (before - candidate.wheels) / p.period
+    f, g = _predict_state(candidate, speed, by_dead_time, p, mixed)
+    _predict_covariance(candidate, mixed, f, g, p)
+    lag, dead_time, likelihood, taken_in = candidate.x[STEERING_LAG], candidate.x[DEAD_TIME], 0.0, 0.0
+    candidate.disagreement = 0.0
     for sensor in _TAKEN_IN:
         if variance[sensor] < math.inf:
             taken_in += 1.0
-            likelihood += _take_in(sensor, measured[sensor], variance[sensor], own, speed, by_dead_time, p)
-    own.disagreement = own.disagreement / taken_in if taken_in > 0.0 else math.nan
-    _bound(own, p)
-    own.wheels += own.by_lag * (own.x[STEERING_LAG] - lag) + by_dead_time * (own.x[DEAD_TIME] - dead_time)
+            likelihood += _take_in(sensor, measured[sensor], variance[sensor], candidate, speed, by_dead_time, p)
+    candidate.disagreement = candidate.disagreement / taken_in if taken_in > 0.0 else math.nan
+    _bound(candidate, p)
+    candidate.wheels += candidate.by_lag * (candidate.x[STEERING_LAG] - lag) + by_dead_time * (
+        candidate.x[DEAD_TIME] - dead_time
+    )
     return likelihood
 
 
@@ -694,8 +705,8 @@ def _judge(p, m, memory):
     """Compare what was measured with what was expected; in a contradiction, believe less."""
     surprise = 0.0
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        surprise += own.weight * own.disagreement
+        candidate = hypothesis(i, p.kept, memory)
+        surprise += candidate.weight * candidate.disagreement
     if math.isfinite(surprise):
         m.disagreement += p.contradiction_share * (surprise - m.disagreement)
     if m.beliefs.belief_state == CONTRADICTORY:
@@ -703,7 +714,7 @@ def _judge(p, m, memory):
 
 
 @exported(LEARN, name="learn_car")
-def learn(speed, measured, command, left_out, parameters, memory):
+def learn(speed, measured, command, excluded, parameters, memory):
     """See `LEARN`."""
     p, m = parameters_of(parameters, 0), memory_of(memory, 0)
     if m.count < 0.5:
@@ -719,7 +730,7 @@ def learn(speed, measured, command, left_out, parameters, memory):
     m.slow = 0.0 if abs(speed) >= MIN_LEARNING_SPEED and math.isfinite(speed) else 1.0
     variance = _sensors()
     for sensor in range(kalman.SENSOR_COUNT):
-        usable = _is_usable(sensor, left_out, p, measured, m)
+        usable = _is_usable(sensor, excluded, p, measured, m)
         _learn_noise(sensor, p, measured, m)
         variance[sensor] = m.noise[sensor] if usable else math.inf
     variance[MEASUREMENT.wheel_angle] += square(p.method.angle_error)
@@ -727,12 +738,12 @@ def learn(speed, measured, command, left_out, parameters, memory):
         _creep(age, p, memory)
         return
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        own.weight = _advance(own, speed, age, measured, variance, p, memory)
+        candidate = hypothesis(i, p.kept, memory)
+        candidate.weight = _advance(candidate, speed, age, measured, variance, p, memory)
     if _difference(p, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
         for i in range(whole(p.hypotheses)):
-            own = hypothesis(i, p.kept, memory)
-            own.evidence = (1.0 - p.evidence_share) * own.evidence + p.method.tempering * own.weight
+            candidate = hypothesis(i, p.kept, memory)
+            candidate.evidence = (1.0 - p.evidence_share) * candidate.evidence + p.method.tempering * candidate.weight
     _weigh(p, memory)
     _judge(p, m, memory)
     _write_beliefs(p, m, memory)
@@ -759,7 +770,7 @@ def ahead_of(ahead, parameters, memory):
 
 
 @exported(BELIEVE)
-def believe(parameters, memory, model, own, remembered):
+def believe(parameters, memory, model, filter_parameters, remembered):
     """See `BELIEVE`.
 
     The part of the disturbances that a change of the bias explains leaves them, so that no prediction jumps.
@@ -768,20 +779,20 @@ def believe(parameters, memory, model, own, remembered):
     b = m.beliefs
     factor, balance = b.used_stiffness, sqrt(b.used_balance)
     front, rear = 0.5 * p.stiffness_front * factor * balance, 0.5 * p.stiffness_rear * factor / balance
-    filtering = kalman.parameters_of(own, 0)
-    for each in (path.parameters_of(model, 0), filtering.model):
-        each.stiffness_front, each.stiffness_rear, each.lag = front, rear, b.used_lag
+    filtering = kalman.parameters_of(filter_parameters, 0)
+    for parameters_row in (path.parameters_of(model, 0), filtering.model):
+        parameters_row.stiffness_front, parameters_row.stiffness_rear, parameters_row.lag = front, rear, b.used_lag
     late = (b.used_dead_time + p.computation) / p.period
     periods = floor(late + 1e-9)
     filtering.whole, filtering.share = periods, late - periods if late - periods > 1e-9 else 0.0
     filtering.bias = b.used_bias
     if m.count > 1.5:
-        more = filtering.bias - m.bias_before
-        kalman.shift_bias(more, 2.0 * front / p.mass, 2.0 * front * p.lf / p.yaw_inertia, remembered)
+        change = filtering.bias - m.bias_before
+        kalman.shift_bias(change, 2.0 * front / p.mass, 2.0 * front * p.lf / p.yaw_inertia, remembered)
     m.bias_before = filtering.bias
     for sensor in range(kalman.SENSOR_COUNT):
-        known = p.variance[sensor]
-        filtering.variance[sensor] = m.noise[sensor] if known < math.inf else known
+        declared = p.variance[sensor]
+        filtering.variance[sensor] = m.noise[sensor] if declared < math.inf else declared
     unknown = p.method.wheel_drift_rate * b.belief_delay_sigma / p.method.sigma_inflation
     filtering.drift[kalman.FILTER_STATE.wheel_angle] = p.drift_wheels + unknown * unknown * p.period
     kalman.forget_speed(remembered)

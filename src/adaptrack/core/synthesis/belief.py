@@ -56,27 +56,27 @@ the best of 12 settings on 16 drives of each of six cars in `production`, known 
 
 
 @inlined
-def _first_known(given, car, actuator):
+def _first_known(caller, car, actuator):
     """The first known number and its source."""
-    if not math.isnan(given):
-        return given, GIVEN
+    if not math.isnan(caller):
+        return caller, GIVEN
     if not math.isnan(car):
         return car, CAR_FILE
     return actuator, SLOW_ASSUMED if math.isnan(actuator) else PROFILE
 
 
 @exported(void(Row(SteeringRow), Row(SteeringRow), Row(SteeringRow), float64, Row(BeliefRow)))
-def believe_steering(given, car, actuator, computation, belief):
+def believe_steering(caller, car, actuator, computation, belief):
     """Write the belief about a steering: each number from its first source, a slow published value where it has none.
 
-    given: the caller's; car: of the car file; actuator: of the profile; computation: s. A known lag shortens an assumed
-    dead time, and a known dead time an assumed lag.
+    caller: by the caller; car: of the car file; actuator: of the profile; computation: s. A known lag shortens an
+    assumed dead time, and a known dead time an assumed lag.
     """
     transport = max(PUBLISHED_COMPUTATION - computation, 0.0)
-    lag, belief.lag_source = _first_known(given.lag, car.lag, actuator.lag)
-    dead, belief.dead_time_source = _first_known(given.dead_time, car.dead_time, actuator.dead_time)
-    rate, belief.rate_source = _first_known(given.rate, car.rate, actuator.rate)
-    limit, belief.limit_source = _first_known(given.limit, car.limit, actuator.limit)
+    lag, belief.lag_source = _first_known(caller.lag, car.lag, actuator.lag)
+    dead, belief.dead_time_source = _first_known(caller.dead_time, car.dead_time, actuator.dead_time)
+    rate, belief.rate_source = _first_known(caller.rate, car.rate, actuator.rate)
+    limit, belief.limit_source = _first_known(caller.limit, car.limit, actuator.limit)
     belief.lag, belief.dead_time = lag, dead
     if belief.lag_source == SLOW_ASSUMED:
         belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), MIN_ASSUMED_LAG)
@@ -100,8 +100,8 @@ def is_cautious(belief):
 
 
 @inlined
-def _capped(known, most):
-    return 0.0 if math.isnan(known) else min(known, most)
+def _capped(value, most):
+    return 0.0 if math.isnan(value) else min(value, most)
 
 
 @inlined

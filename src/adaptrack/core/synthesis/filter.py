@@ -112,13 +112,13 @@ def _variance(deviation, least):
 
 
 @exported(void(Row(Noise), vector))
-def sensor_variances(noise, found):
+def sensor_variances(noise, variances):
     """Write the variances (6,) of the sensors, see `kalman.LEAST_NOISE`; inf: none."""
     least = kalman.LEAST_NOISE
-    found[0], found[1] = _variance(noise.vy, least[0]), _variance(noise.yaw, least[1])
-    found[2], found[3] = _variance(noise.yaw_rate, least[2]), _variance(noise.y, least[3])
-    found[4] = _variance(noise.wheel_angle, least[4])
-    found[5] = _variance(noise.lateral_acceleration, least[5])
+    variances[0], variances[1] = _variance(noise.vy, least[0]), _variance(noise.yaw, least[1])
+    variances[2], variances[3] = _variance(noise.yaw_rate, least[2]), _variance(noise.y, least[3])
+    variances[4] = _variance(noise.wheel_angle, least[4])
+    variances[5] = _variance(noise.lateral_acceleration, least[5])
 
 
 @exported(several(float64, float64, float64)(Row(DriftsRow), Row(CarRow)))
@@ -131,10 +131,10 @@ def push_drift(drifts, car):
 
 
 @exported(several(int64, int64)(Row(Filter), float64, float64))
-def filter_periods(own, period, dead_time):
+def filter_periods(filtering, period, dead_time):
     """Whole periods of the longest dead time (s), and those that are gone through anew for late samples."""
-    most = max(floor(dead_time / period + 1e-9), floor(own.longest / period + 1e-9))
-    return whole(most), whole(floor(own.oldest / period + 0.5))
+    most = max(floor(dead_time / period + 1e-9), floor(filtering.longest / period + 1e-9))
+    return whole(most), whole(floor(filtering.oldest / period + 0.5))
 
 
 @exported(int64(int64, int64))
@@ -144,18 +144,23 @@ def filter_size(longest, late):
 
 
 @exported(void(Row(Filter), Row(CarRow), float64, float64, float64, vector))
-def filter_numbers(own, car, period, lag, dead_time, numbers):
+def filter_numbers(filtering, car, period, lag, dead_time, numbers):
     """Write `kalman.FilterParameters` for the path model with a lag and a dead time (s)."""
     p = kalman.parameters_of(numbers, 0)
-    drifts, noise = own.drifts, own.noise
+    drifts, noise = filtering.drifts, filtering.noise
     p.period, p.bias = period, 0.0
     whole_periods, p.share = in_periods(dead_time, period)
-    longest, late = filter_periods(own, period, dead_time)
+    longest, late = filter_periods(filtering, period, dead_time)
     p.whole, p.longest, p.late = float(whole_periods), float(longest), float(late)
-    p.bound, p.patience, p.distrust, p.trust = own.bound, own.patience / period, own.distrust, own.trust
-    p.forgetting = min(1.0, period / own.window[0])
-    p.regaining = min(1.0, period / own.window[1])
-    p.settling = min(1.0, period / own.settling)
+    p.bound, p.patience, p.distrust, p.trust = (
+        filtering.bound,
+        filtering.patience / period,
+        filtering.distrust,
+        filtering.trust,
+    )
+    p.forgetting = min(1.0, period / filtering.window[0])
+    p.regaining = min(1.0, period / filtering.window[1])
+    p.settling = min(1.0, period / filtering.settling)
     sensor_variances(noise, p.variance)
     if not lag > 0.0:
         p.variance[4] = math.inf  # no such state
@@ -168,8 +173,8 @@ def filter_numbers(own, car, period, lag, dead_time, numbers):
     p.drift[at.offset] = square(drifts.yaw_rate_offset) * period if noise.yaw_rate_offset > 0.0 else 0.0
     p.sliding, p.sliding_time = square(drifts.sliding), drifts.sliding_time
     p.grip, p.least_spare = drifts.grip, drifts.least_spare
-    p.friction, p.shape_factor = own.friction, own.shape_factor
-    p.spread_side, p.spread_turn = square(own.spread[0]), square(own.spread[1])
+    p.friction, p.shape_factor = filtering.friction, filtering.shape_factor
+    p.spread_side, p.spread_turn = square(filtering.spread[0]), square(filtering.spread[1])
     p.spread_offset = square(noise.yaw_rate_offset)
     c = p.model
     c.mass, c.yaw_inertia, c.lf, c.lr = car.mass, car.yaw_inertia, car.lf, car.lr

@@ -172,13 +172,13 @@ def riccati(a, b, q, p, work):
     """
     n = b.size
     size = n * n
-    f, g, w, found = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
+    f, g, w, solution = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
     x, y, z = work[4 * size : 5 * size], work[5 * size : 6 * size], work[6 * size : 7 * size]
     for i in range(n):
         for j in range(n):
-            f[n * i + j], g[n * i + j], found[n * i + j] = a[i, j], b[i] * b[j], q[i, j]
+            f[n * i + j], g[n * i + j], solution[n * i + j] = a[i, j], b[i] * b[j], q[i, j]
     for doublings in range(1, MOST_DOUBLINGS + 1):
-        _times(n, g, found, w)
+        _times(n, g, solution, w)
         for i in range(n):
             w[n * i + i] += 1.0
         for i in range(size):
@@ -191,14 +191,14 @@ def riccati(a, b, q, p, work):
                 for k in range(n):
                     total += w[n * i + k] * f[n * j + k]
                 g[n * i + j] += total
-        _times(n, found, x, y)
-        change, entries = _add_turned(n, f, y, z, found)
+        _times(n, solution, x, y)
+        change, entries = _add_turned(n, f, y, z, solution)
         if not entries < math.inf:
             return 0
         if change <= CONVERGED * entries:
             for i in range(n):
                 for j in range(n):
-                    p[i, j] = found[n * i + j]
+                    p[i, j] = solution[n * i + j]
             return doublings
         _times(n, f, x, w)
         for i in range(size):
@@ -209,18 +209,18 @@ def riccati(a, b, q, p, work):
 @exported(void(matrix, vector, matrix, vector))
 def lqr_feedback(a, b, p, gain):
     """Write the gains (n,), (1 + B'PB)^-1 B'PA."""
-    n, whole = b.size, 1.0
+    n, denominator = b.size, 1.0
     for j in range(n):
         gain[j] = 0.0
     for i in range(n):
         row = 0.0
         for k in range(n):
             row += b[k] * p[k, i]
-        whole += row * b[i]
+        denominator += row * b[i]
         for j in range(n):
             gain[j] += row * a[i, j]
     for j in range(n):
-        gain[j] /= whole
+        gain[j] /= denominator
 
 
 @exported(int64(Row(CarRow), Row(Common), vector, vector))

@@ -28,9 +28,9 @@ def tracker_after(tracker):
     m, answer = tracker.memory[0], tracker.answer
     if m.waiting == 0:
         return
-    m.waiting, held = 0, m.command
+    m.waiting, previous = 0, m.command
     usable = math.isfinite(answer[CONTROLLER_ANSWER.command])
-    m.command = answer[CONTROLLER_ANSWER.command] if usable else held
+    m.command = answer[CONTROLLER_ANSWER.command] if usable else previous
     m.belief_state, m.belief_at_bound = (
         answer[CONTROLLER_ANSWER.belief_state],
         answer[CONTROLLER_ANSWER.belief_at_bound],
@@ -38,15 +38,15 @@ def tracker_after(tracker):
     m.status, m.answered = _status(tracker, m, not usable or answer[CONTROLLER_ANSWER.held] > 0.5), 1
     m.due -= 1
     if m.due > 0:  # at an instant without a call nothing was sent
-        hold(tracker, m, held)
+        hold(tracker, m, previous)
 
 
 @inlined
-def _status(tracker, m, held):
+def _status(tracker, m, is_held):
     """What an instant was."""
     if m.offset != m.offset:
         return OFF_PATH
-    if held:
+    if is_held:
         return HELD
     if m.speed < STANDSTILL_SPEED:
         return STANDS

@@ -84,10 +84,10 @@ def _end(tracker, m):
 @inlined
 def _judge(tracker, m):
     """Let the status say that the car slides; take a command back while the car turns against it."""
-    found, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
-    if found.sliding > 0 and (m.status == FOLLOWING or m.status == ESTIMATED or m.status == REVERSE):
+    findings, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
+    if findings.sliding > 0 and (m.status == FOLLOWING or m.status == ESTIMATED or m.status == REVERSE):
         m.status = CAR_SLIDES
-    if found.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
+    if findings.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
         hold(tracker, m, m.command_before - clip(m.command_before, -move, move))
         m.status = HELD
 
@@ -95,13 +95,13 @@ def _judge(tracker, m):
 @inlined
 def _advance(tracker, m, sampled):
     """Where the car is at the next instant, by the latest sample and its motion since."""
-    settings, own = tracker.settings[0], line(tracker)
+    settings, centreline = tracker.settings[0], line(tracker)
     period, speed = settings.period, forward(m)
     m.instant += 1
     if sampled and math.isfinite(m.given_yaw_rate):
         m.yaw_rate = m.given_yaw_rate
     else:
-        _, _, _, curvature = point_at(m.station, own)
+        _, _, _, curvature = point_at(m.station, centreline)
         m.yaw_rate = speed * curvature
     pose = carried(pose_of(m), period, speed, m.yaw_rate)
     if sampled and has_position(m) and m.given_t > m.newest:
@@ -109,7 +109,7 @@ def _advance(tracker, m, sampled):
         if -period <= age <= settings.late * period + LONGEST_CARRY:
             pose = carried(sampled_pose(m), age, speed, m.yaw_rate)
     keep_pose(m, pose)
-    station, offset, heading, _ = foot_near(pose.x, pose.y, m.station + speed * period, own)
+    station, offset, heading, _ = foot_near(pose.x, pose.y, m.station + speed * period, centreline)
     m.offset, m.heading_error, m.turned = offset, math.nan, 0.0
     if offset == offset:
         m.heading_error, m.turned = wrapped(pose.yaw - heading), heading - m.heading
@@ -160,8 +160,8 @@ def _take(tracker, m, measured):
     elif has_position(m):
         tracker.request[REQUEST.late] = age
     measured[MEASUREMENT.pose_age] = measured[MEASUREMENT.motion_age] = declared
-    known = m.given_t <= m.newest and m.instant > 0
-    if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (known and late == 0):
+    is_seen = m.given_t <= m.newest and m.instant > 0
+    if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (is_seen and late == 0):
         return False
     if m.instant > 0:
         m.newest = max(m.newest, m.given_t)
@@ -184,7 +184,7 @@ def _expect_speeds(tracker, m):
         speeds[i] = m.station + step * i
     lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0
     planned_speeds(lap, plan.s, plan.speed, speeds)
-    more = speed - speeds[0]
+    difference = speed - speeds[0]
     for i in range(EXPECTED_SPEEDS):
-        speeds[i] = max(speeds[i] + more, 0.0)
+        speeds[i] = max(speeds[i] + difference, 0.0)
     ahead[INSTANT.count] = EXPECTED_SPEEDS

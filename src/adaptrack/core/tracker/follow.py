@@ -33,9 +33,9 @@ def _go_over(tracker, m):
     find_on_path(tracker, m)
     request, shifted = tracker.request, m.offset - offset
     if abs(shifted) < MAX_SIGNAL:
-        more = request[REQUEST.change]  # 1: the controller has not heard yet of the path before
-        request[REQUEST.turned] = wrapped(m.heading_error - heading_error) + more * request[REQUEST.turned]
-        request[REQUEST.shifted] = shifted + more * request[REQUEST.shifted]
+        pending = request[REQUEST.change]  # 1: the controller has not heard yet of the path before
+        request[REQUEST.turned] = wrapped(m.heading_error - heading_error) + pending * request[REQUEST.turned]
+        request[REQUEST.shifted] = shifted + pending * request[REQUEST.shifted]
         request[REQUEST.change] = 1.0
     else:  # too far from one of them to say by how much
         restart(tracker, m)

@@ -132,8 +132,8 @@ def _begin(tracker, m, at):
         hold(tracker, m, m.given_wheel_angle)
     age = at - m.given_t
     backwards = m.speed < -STANDSTILL_SPEED
-    known = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
-    if backwards or not known or not has_path(tracker):
+    is_usable = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
+    if backwards or not is_usable or not has_path(tracker):
         m.status, m.answered = REVERSE if backwards else HELD, 1
         m.belief_state, m.belief_at_bound = NO_BELIEF, NO_BELIEF
         nowhere(m)
@@ -172,8 +172,8 @@ def _go_on(tracker, m, at):
 @inlined
 def _leave_out_if_placed_before(m):
     """Leave out a pose that is the one before under a later time stamp: a car that moves has another."""
-    same = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
-    if same and m.given_t > m.placed_t and forward(m) > STANDSTILL_SPEED:
+    is_repeated = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
+    if is_repeated and m.given_t > m.placed_t and forward(m) > STANDSTILL_SPEED:
         leave_out_position(m)
     elif has_position(m):
         m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t
@@ -184,6 +184,6 @@ def _has_jumped(m, at, period):
     """Whether a position is far from where the car was expected."""
     since = at - time_of(m, period)
     expected = carried(pose_of(m), since, forward(m), m.yaw_rate)
-    found = carried(sampled_pose(m), at - m.given_t, forward(m), m.yaw_rate)
-    distance = hypot(found.x - expected.x, found.y - expected.y)
+    sampled = carried(sampled_pose(m), at - m.given_t, forward(m), m.yaw_rate)
+    distance = hypot(sampled.x - expected.x, sampled.y - expected.y)
     return distance > LARGEST_JUMP + 0.5 * forward(m) * abs(since)

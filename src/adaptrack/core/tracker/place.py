@@ -95,11 +95,11 @@ def hint(m, near):
 @inlined
 def find_on_path(tracker, m):
     """The foot from which the car begins to follow its path, the nearest one in its direction."""
-    own = line(tracker)
-    m.station = nearest(m.x, m.y, m.yaw, ACROSS_PENALTY, m.near, own)
-    _, _, m.heading, _ = point_at(m.station, own)
-    here = beside(tracker, pose_of(m), m.station)
-    m.offset, m.heading_error, m.near = here.offset, here.heading_error, math.nan
+    centreline = line(tracker)
+    m.station = nearest(m.x, m.y, m.yaw, ACROSS_PENALTY, m.near, centreline)
+    _, _, m.heading, _ = point_at(m.station, centreline)
+    foot = beside(tracker, pose_of(m), m.station)
+    m.offset, m.heading_error, m.near = foot.offset, foot.heading_error, math.nan
 
 
 @inlined
