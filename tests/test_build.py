@@ -70,8 +70,8 @@ def test_who_has_just_read_the_manifest_before_still_finds_its_library(quick):
         os.utime(each, (long_ago, long_ago))
     read = library.manifest()["libraries"][library.processor()]
     builder.build()
-    assert library.whole(read).read_bytes() == b"before"
-    assert library.whole(library.manifest()["libraries"][library.processor()]).read_bytes() == b"new"
+    assert library.verified_file(read).read_bytes() == b"before"
+    assert library.verified_file(library.manifest()["libraries"][library.processor()]).read_bytes() == b"new"
     assert not left.exists()
 
 
@@ -115,8 +115,8 @@ def test_without_a_linker_the_build_says_what_to_install(monkeypatch):
 def test_what_is_built_on_a_system_holds_what_its_processor_asks_for(monkeypatch, system, machine):
     monkeypatch.setattr(library, "sys", SimpleNamespace(platform=system))
     monkeypatch.setattr(library.platform, "machine", lambda: machine)
-    assert library.processor() in builder.of_this_kind()
-    assert set(builder.of_this_kind()) <= set(builder.TARGETS)
+    assert library.processor() in builder.compatible_processors()
+    assert set(builder.compatible_processors()) <= set(builder.COMPILE_TARGETS)
 
 
 # -- rules ------------------------------------------------------------------------------------------------------------

@@ -288,7 +288,7 @@ def test_a_pose_that_stays_the_same_against_a_path_that_turns_is_new():
 
 
 def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_then_holds(rng):
-    own = dataclasses.replace(KalmanFilter.of_profile(load_profile("road")), patience=0.5)
+    own = dataclasses.replace(KalmanFilter.from_profile(load_profile("road")), patience=0.5)
     mpc, found = MPC(CAR, profile="road", estimator=own), []
     for k in range(60):
         state = rng.normal(size=4) * [0.05, 0.003, 0.01, 0.03]

@@ -97,7 +97,7 @@ def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypa
     ours = path_of(plant, UserController(law, memory_size=1))
     monkeypatch.setattr(library, "can_compile", lambda: False)
     found = member(law, void(vector, vector, RoadAheadRecord, vector, vector, vector, vector))
-    assert found.in_python
+    assert found.calls_python
     theirs = UserController(law, memory_size=1)
     theirs._compiled = found
     assert path_of(plant, theirs) == pytest.approx(ours, rel=1e-9, abs=1e-12)

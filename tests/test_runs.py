@@ -171,13 +171,13 @@ FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 
 @pytest.mark.parametrize(("delay", "periods"), [(0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)])
 def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start(delay, periods):
-    for known, truth in zip(Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
+    for known, truth in zip(Perception(delay=delay).perceive(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
         np.testing.assert_array_equal(known, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
 
 
 def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
     perception = Perception(noise=0.5, bias=0.5, delay=1.0, withheld=True, nominal_friction=0.7)
-    friction, wind = perception.known(FRICTION, WIND, 0.05, 0)
+    friction, wind = perception.perceive(FRICTION, WIND, 0.05, 0)
     assert (friction == 0.7).all()
     assert (wind == 0.0).all()
 
@@ -186,7 +186,7 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     friction, wind = np.full(20_000, 0.6), np.full(20_000, -12.0)
     errors = [
         known / truth - 1.0
-        for known, truth in zip(Perception(noise=0.1).known(friction, wind, 0.05, 4), (friction, wind), strict=True)
+        for known, truth in zip(Perception(noise=0.1).perceive(friction, wind, 0.05, 4), (friction, wind), strict=True)
     ]
     for error in errors:
         assert error.mean() == pytest.approx(0.0, abs=0.003)
@@ -223,7 +223,7 @@ def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_
     signals = scenario.sample(load_profile("road").period)
     known = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
     if perception is not None:
-        known = perception.known(*truth, load_profile("road").period, 0)
+        known = perception.perceive(*truth, load_profile("road").period, 0)
         np.testing.assert_array_equal(
             run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(known)[:, :-1]
         )

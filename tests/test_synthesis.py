@@ -82,7 +82,7 @@ def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
         found, made, within = completed(**given)
         assert found == status, given
         assert {name for name in car.CarRow._fields if not math.isnan(made[name])} <= {"mass", "lf", "lr"}
-        assert within.said == 0
+        assert within.is_given == 0
 
 
 # -- belief -----------------------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def test_horizons_stay_within_their_bounds():
 # -- filter -----------------------------------------------------------------------------------------------------------
 def test_a_dead_time_is_whole_periods_and_a_share():
     for time, period in ((0.0, 0.05), (0.15, 0.05), (0.17, 0.05), (0.3, 0.1), (1.0, 0.03)):
-        whole, share = filter.in_periods(time, period)
+        whole, share = filter.split_periods(time, period)
         assert isinstance(whole, int)
         assert 0.0 <= share < 1.0
         assert (whole + share) * period == pytest.approx(time, abs=1e-9)
@@ -174,7 +174,7 @@ def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
     """Mean and variance of what is believed are those of the filters', and the delay's that of the sum."""
     own = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
     memory, n = own.fresh(), counts[0] * counts[1]
-    each = [learning.hypothesis(i, own.kept, memory) for i in range(n)]
+    each = [learning.hypothesis(i, own.commands, memory) for i in range(n)]
     pairs = np.array([[one.x[learning.STEERING_LAG], one.x[learning.DEAD_TIME] - own.computation] for one in each])
     grains = np.array([one.covariance[learning.STEERING_LAG, learning.STEERING_LAG] for one in each])
     believed = learning.memory_of(memory, 0).beliefs

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from adaptrack.cars.vehicle import GRAVITY, in_periods
+from adaptrack.cars.vehicle import GRAVITY, split_periods
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators.kalman import (
     LEAST_NOISE,
@@ -32,7 +32,7 @@ class TextbookFilter:
 
     def __init__(self, estimator, model):
         self.own, self.model, self.n, self.late = estimator, model, model.n, estimator.late(model)
-        self.whole, self.share = in_periods(model.dead_time, model.period)
+        self.whole, self.share = split_periods(model.dead_time, model.period)
         offsets = ("offset",) if estimator.noise.yaw_rate_offset > 0.0 else ()
         self.names = (*model.states, "side", "turn", *offsets)
         self.size = len(self.names)

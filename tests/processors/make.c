@@ -24,7 +24,7 @@ int main(int count, char **names) {
     say_nothing(&order.car, sizeof order.car);
     order.car.mass = 1500.0;
     if (adaptrack_complete_car(2.7, 0.0, 0, &order.car, &order.within)) return 2;
-    say_nothing(&order.given, 3 * sizeof order.given); /* nobody says anything of the steering */
+    say_nothing(&order.caller, 3 * sizeof order.caller); /* nobody says anything of the steering */
     say_nothing(&order.start, sizeof order.start);
     order.world.period = 0.05;
     order.world.computation = 0.0;

@@ -70,7 +70,7 @@ def holdable_speed(
         For which an instability counts at most; the longer, the less of it is borne.
     """
     loop = _slow_end(mpc, load_profile(profile)) if mpc.learner is not None else (mpc, load_profile(profile))
-    return _kept(car, _Loop(*loop), longest)
+    return _cached_speeds(car, _Loop(*loop), longest)
 
 
 class _Loop:
@@ -101,7 +101,7 @@ def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
 
 
 @lru_cache(maxsize=16)
-def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
+def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     mpc, world = loop.mpc, loop.world.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
@@ -140,7 +140,7 @@ def _margins(
     except InvalidInput:
         return None
     # gains follow the forces, and those the turn: braking has only begun
-    estimator = at.in_turn(first.measured(plant, mpc.period), first.steering)
+    estimator = at.with_turn_gains(first.measured(plant, mpc.period), first.steering)
     law = laws(mpc, speed, mpc.tuning.as_array(), estimator)
 
     def margin(share: float) -> float:

@@ -253,7 +253,7 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
     lag = steering.lag
     names, a, b = _linearised_at(plant, turn)
     flow = _with_lag(a, b, lag)
-    step = _held(flow, period, max(late, 0.0))
+    step = _hold_flow(flow, period, max(late, 0.0))
     size = len(step)
     outputs = np.zeros((len(sensed()), size))
     outputs[range(len(SENSED_STATES)), [names.index(name) for name in SENSED_STATES]] = 1.0
@@ -352,7 +352,7 @@ def _with_lag(a: Array, b: Array, lag: float) -> Array:
     return flow
 
 
-def _held(flow: Array, period: float, delay: float) -> Array:
+def _hold_flow(flow: Array, period: float, delay: float) -> Array:
     """[A b] (m, m + 1) over one period of a flow whose commands act `delay` periods late; the new one stands last."""
     from scipy.linalg import expm
 
@@ -484,15 +484,15 @@ class EstimatorAt:
         moved = [i for i in derivatives if i < self._memory]
         moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
         matter = _that_matter(moves, moved, self._memory)
-        return self._of_changes(derivatives, matter), matter
+        return self._linearise_changes(derivatives, matter), matter
 
-    def _of_changes(self, derivatives: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
+    def _linearise_changes(self, derivatives: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
         memory, n = self._memory, self.model.n
         inputs = [*matter, *range(memory, memory + self._sensors + 1)]
         rows = np.array([derivatives[i] for i in inputs]).T[[*matter, *range(memory, memory + n + 1)]]
         return _with_last_command(rows, len(matter))
 
-    def in_turn(self, measured: Array, command: float) -> LinearEstimator:
+    def with_turn_gains(self, measured: Array, command: float) -> LinearEstimator:
         """After some time in a steady turn: of the same numbers, with the gains that the estimator then has.
 
         measured: (9,), see `Steady.measured`; command: rad. Gains count as constant: they follow the size of the
@@ -515,7 +515,7 @@ class EstimatorAt:
         ages = slice(self._memory + self._sensors - 2, self._memory + self._sensors)
         for place in range(ages.start, ages.stop):
             derivatives[place] = np.zeros_like(settled)  # how old a sample is does not change
-        return self._of_changes(derivatives, places)
+        return self._linearise_changes(derivatives, places)
 
 
 def _within(values: Array, most: float) -> bool:

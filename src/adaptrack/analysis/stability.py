@@ -280,13 +280,13 @@ def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], a
         for j, mu in enumerate(axes[1].tolist()):
             for plant in plants:
                 linear_plant = plant(v, mu)
-                if plant not in sampled_plants or not _alike(linear_plant, sampled_plants[plant][0]):
+                if plant not in sampled_plants or not _are_alike(linear_plant, sampled_plants[plant][0]):
                     sampled_plants[plant] = linear_plant, modulus_margin(linear_plant, law, angles)
             least[i, j] = np.min([margin for _, margin in sampled_plants.values()], axis=0)
     return least.reshape([len(axis) for axis in axes])
 
 
-def _alike(first: Sampled, other: Sampled) -> bool:
+def _are_alike(first: Sampled, other: Sampled) -> bool:
     """Whether two bodies differ by no more than the rounding of their linearisation."""
     return bool(
         np.allclose(first.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(first.b, other.b, rtol=1e-7, atol=1e-9)

@@ -27,7 +27,7 @@ from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
 from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES
-from adaptrack.core.synthesis.filter import in_periods as in_periods
+from adaptrack.core.synthesis.filter import split_periods as split_periods
 from adaptrack.core.synthesis.rows import row_of
 
 if TYPE_CHECKING:

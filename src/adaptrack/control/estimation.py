@@ -239,7 +239,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
 
 
 class FrictionWindEstimate(NamedTuple):
-    """What is known of the surroundings at one control instant; deviations are standard deviations."""
+    """Estimates of friction, wind and stiffness at one control instant, with their standard deviations."""
 
     friction: float
     """coefficient of friction, the same on all wheels; the median"""
@@ -247,7 +247,7 @@ class FrictionWindEstimate(NamedTuple):
     """m/s, v_w: velocity of the air along +Y"""
     friction_std: float
     wind_std: float
-    """m/s"""
+    """standard deviation of the wind (m/s)"""
     stiffness: float
     """cornering stiffness of the tyres, over what the estimator was given"""
 
@@ -374,7 +374,7 @@ class FrictionWindEstimator:
 
     @property
     def estimate(self) -> FrictionWindEstimate:
-        """What the last step found."""
+        """The estimate of the last step."""
         memory = self._memory[0]
         return FrictionWindEstimate(
             friction=float(memory.friction),
@@ -388,7 +388,7 @@ class FrictionWindEstimator:
 @checked
 @dataclass(frozen=True)
 class Perception:
-    """What a scheduler knows of friction and wind, when that is neither the truth nor an estimate from signals."""
+    """Friction and wind for a scheduler, with a delay, a bias and noise in place of an estimator."""
 
     noise: NotNegative = 0.0
     """standard deviation of a relative error of friction and of wind, new at every step"""
@@ -402,8 +402,8 @@ class Perception:
     seed: Natural = 0
     """of the noise: the scenario i of a batch has that of seed + i"""
 
-    def known(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
-        """What is known at the instants of a run, given the true friction and wind (n,) there.
+    def perceive(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
+        """Return the perceived friction and wind at the instants of a run, from the true ones (n,).
 
         number: of the scenario in its batch.
         """

@@ -66,7 +66,7 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     @classmethod
     @checked
-    def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
+    def from_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
         """For the sensors of a profile, see `core.synthesis.filter.sensor_noise`."""
         noise = row_of(kernel.Noise)
         kernel.sensor_noise(profile.numbers(profile.period), noise)
@@ -87,7 +87,7 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
         move_path(memory, self.late(model), heading, offset)
 
     def left_out(self, memory: Array) -> str | None:
-        out = int(memory_of(memory, 0).left_out)
+        out = int(memory_of(memory, 0).excluded)
         return SENSORS[out - 1] if out else None
 
     def late(self, model: PredictionModel) -> int:

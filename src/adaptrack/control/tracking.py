@@ -74,7 +74,7 @@ def tracking_of(controller: Controller, path: Road, plan: SpeedPlan | None = Non
     tracker = tracker_of(controller, path, plan, furthest, InputCheck(controller.vehicle, controller.period))
     tracker_engage(0.0, math.nan, tracker)
     if isinstance(controller, MPC):
-        if not controller.in_kernel:
+        if not controller.runs_in_kernel:
             raise InvalidInput(f"tracking_of: solver {controller.solver.name!r} is not compiled: use 'active-set'.")
         mpc = controller.batch(1, controller.settings(), curved=True)
         step = MPCStep(mpc, controller.functions, np.zeros(len(STEP_INPUT)), np.zeros(1), tuning.copy())

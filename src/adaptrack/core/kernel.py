@@ -44,7 +44,7 @@ class Scalar:
     def ctypes(self) -> Any:
         return (ctypes.c_double if self.name == "float64" else ctypes.c_int64,)
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         return (float(value) if self.name == "float64" else int(value),)
 
     def __call__(self, *arguments: Any) -> Signature:
@@ -69,7 +69,7 @@ class Array:
     def dtype(self) -> Any:
         return np.dtype(self.of.name) if isinstance(self.of, Scalar) else self.of.dtype
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         if not (isinstance(value, np.ndarray) and value.ndim == self.ndim and value.dtype == self.dtype):
             raise TypeError(f"{value!r}: need an array of {self.ndim} dimensions, {self.dtype}.")
         try:
@@ -87,14 +87,14 @@ class Place:
     of: Any
     ctypes = (ctypes.c_void_p,)
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         return (value if isinstance(value, Resident) else Resident(value),)
 
 
 class Row(Place):
     """One row of an array of a record of numbers: a kernel may write to it."""
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         return (value.__array_interface__["data"][0],)  # a row by itself has no `ctypes`
 
 
@@ -238,7 +238,7 @@ def viewer(kind: Any) -> Any:
     """
     if hidden := [name for name in kind._fields if hasattr(np.record, name)]:
         raise ValueError(f"{kind.__name__}: NumPy's records have {', '.join(hidden)} of their own: choose other names.")
-    return _known("view", lambda vector, place: vector[place : place + size_of(kind)].view(kind.dtype)[0], kind)
+    return _make_known("view", lambda vector, place: vector[place : place + size_of(kind)].view(kind.dtype)[0], kind)
 
 
 def unpacker(kind: Any, stride: int = 1) -> Any:
@@ -282,7 +282,7 @@ def local(*shape: int) -> Any:
 
     ``square = local(3, 3)`` in the file, ``z = square()`` in a kernel. It lies on the stack, if not in registers.
     """
-    return _known("local", lambda: np.zeros(shape), shape)
+    return _make_known("local", lambda: np.zeros(shape), shape)
 
 
 class Resident:
@@ -309,7 +309,7 @@ def _words(record: Any) -> Iterable[int]:
         elif kind is float64:
             yield from struct.unpack("q", struct.pack("d", value))
         else:
-            yield from kind.given(value)
+            yield from kind.convert(value)
 
 
 # -- functions --------------------------------------------------------------------------------------------------------
@@ -354,7 +354,7 @@ class Exported(Known):
 
     def __call__(self, *arguments: Any) -> Any:
         words = [
-            word for kind, value in zip(self.signature.types, arguments, strict=True) for word in kind.given(value)
+            word for kind, value in zip(self.signature.types, arguments, strict=True) for word in kind.convert(value)
         ]
         returns = self.signature.returns
         if len(returns) == 1:
@@ -366,14 +366,14 @@ class Exported(Known):
         return struct.unpack(layout, answers.raw)
 
     def __reduce__(self) -> Any:
-        return _named, (self.function.__module__, self.name)
+        return _import_kernel, (self.function.__module__, self.name)
 
 
 EXPORTED: dict[str, Exported] = {}
 """Every exported kernel of the modules that are imported, by its name."""
 
 
-def _named(module: str, name: str) -> Exported:
+def _import_kernel(module: str, name: str) -> Exported:
     importlib.import_module(module)
     return EXPORTED[name]
 
@@ -394,12 +394,12 @@ class Address(int):
 
 def inlined(function: Any, interpreted: Any = None) -> Any:
     """A part of the kernels that call it; interpreted: what stands for it in Python."""
-    return _known("inlined", function, interpreted=interpreted)
+    return _make_known("inlined", function, interpreted=interpreted)
 
 
 def primitive(function: Any) -> Any:
     """An operation that the compiler knows by the function's name; in Python the function that stands here."""
-    return _known("primitive", function)
+    return _make_known("primitive", function)
 
 
 def exported(signature: Signature, name: str | None = None) -> Callable[[Any], Any]:
@@ -420,10 +420,10 @@ def Caller(signature: Signature) -> Any:
     """A kernel ``call(function, *arguments)`` of a function of a signature: in compiled code an address (`address_of`),
     in Python itself. So members cross in records, ours and users' alike.
     """
-    return _known("caller", lambda function, *arguments: function(*arguments), signature)
+    return _make_known("caller", lambda function, *arguments: function(*arguments), signature)
 
 
-def _known(kind: str, function: Any, of: Any = None, interpreted: Any = None) -> Any:
+def _make_known(kind: str, function: Any, of: Any = None, interpreted: Any = None) -> Any:
     return (interpreted or function) if INTERPRETED else Known(kind, function, of, interpreted)
 
 

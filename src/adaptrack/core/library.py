@@ -116,7 +116,7 @@ def export_of(target: str, folder: Path | None = None) -> Path:
     listed = manifest(folder)
     if listed["sources"] != source_hashes():
         raise ValueError(f"{folder}: is of other kernels than {kernels_hash()}")
-    return whole(listed["exports"][target], folder)
+    return verified_file(listed["exports"][target], folder)
 
 
 def exported(target: str) -> Path:
@@ -134,7 +134,7 @@ def exported(target: str) -> Path:
     return export_of(target)
 
 
-def whole(entry: dict[str, str], folder: Path | None = None) -> Path:
+def verified_file(entry: dict[str, str], folder: Path | None = None) -> Path:
     """The file of a library of the manifest, proved to be as it was built."""
     path = (folder or BUILT_FOLDER) / entry["file"]
     if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
@@ -149,7 +149,7 @@ class Library:
         built, name = manifest(), processor()
         if name not in built["libraries"]:
             raise ValueError(f"no library for {name}")
-        self.path = whole(built["libraries"][name])
+        self.path = verified_file(built["libraries"][name])
         self.functions = ctypes.CDLL(str(self.path))
         self.kernels = built["kernels"]
         then, current = built["sources"], source_hashes()

@@ -64,7 +64,7 @@ class UserFunction(Exported):
         self.viewed = viewed
 
     @property
-    def in_python(self) -> bool:
+    def calls_python(self) -> bool:
         """Whether each call goes back to Python: one car can wait for that, a batch cannot."""
         return not isinstance(self.function, CFunction) and not compiles()
 
@@ -72,7 +72,7 @@ class UserFunction(Exported):
     def address(self) -> int:
         if isinstance(self.function, CFunction):
             return self.function.address
-        if self.in_python:
+        if self.calls_python:
             self._callback = self.signature.prototype(_called_back(self))
             return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
         return int(library.compiler().compiled_now(self))

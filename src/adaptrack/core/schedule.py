@@ -46,7 +46,7 @@ SCHEDULE_SETTINGS = record(
     [
         ("n_inputs", int64),  # 0: no scheduler
         ("n_entries", int64),
-        ("of_mpc", int64),  # whether the entries are Np, Nc, Q, R
+        ("tunes_mpc", int64),  # whether the entries are Np, Nc, Q, R
         ("inputs", (SCHEDULE_INPUT, len(VARIABLE_COLUMNS))),
         ("entries", (ENTRY, MAX_ENTRIES)),
         ("guard", GUARD),
@@ -124,7 +124,7 @@ def _evaluate_entries(x, plan, values, work):
         broken = broken or math.isnan(value)
         value = clip(value, entry.low, entry.high)
         values[s] = floor(value + 0.5) if entry.horizon == 1 else value
-    if settings.of_mpc == 1:
+    if settings.tunes_mpc == 1:
         values[NC_ENTRY] = min(values[NC_ENTRY], values[NP_ENTRY])
     return broken
 

@@ -227,7 +227,7 @@ class Batch:
                 f"{', '.join(slow)}: many runs need functions of one's own compiled, which numba does: python -m pip "
                 "install 'adaptrack[compile]'; without it simulate(...) and `adaptrack drive` call them in Python."
             )
-        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.in_kernel)
+        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.runs_in_kernel)
         scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
         if not (fit and scheduled and isinstance(self.world.plant, Plant)):
             raise InvalidInput(

@@ -209,7 +209,7 @@ class World:
         complete_samples(signals.period, rows)
         if isinstance(self.known_as, Perception):
             friction, wind = rows[SIGNAL.known_friction].copy(), rows[SIGNAL.known_wind].copy()
-            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.known(
+            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.perceive(
                 friction, wind, signals.period, number
             )
         return rows

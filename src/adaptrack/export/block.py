@@ -291,7 +291,7 @@ class _Laid:
             elif kind is float64:
                 self.words.append(_bits(float(value)))
             else:
-                self.words.append(self._whole(full, int(value)))
+                self.words.append(self._integer_word(full, int(value)))
 
     def _lay_array(self, name: str, values: NDArray[Any]) -> None:
         if name.startswith(tuple(f"{prefix}." for prefix in self.outside)) or name in self.outside:
@@ -305,7 +305,7 @@ class _Laid:
         fits = [prefix for prefix in self._roles if name == prefix or name.startswith(f"{prefix}.")]
         return self._roles[max(fits, key=len)] if fits else ArrayRole.KEPT
 
-    def _whole(self, name: str, value: int) -> int:
+    def _integer_word(self, name: str, value: int) -> int:
         if value in self._kernels:
             self.links.append((len(self.words), self._kernels[value]))
             return 0

@@ -30,7 +30,7 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "residuals": _FLAG, "terms": (1, 1000), "longest_horizon": (1, 1000), "most_moves": (1, 1000), "solver": (0, 3),
     "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-4, 10.0), "delay": (0.0, 1000.0),
     "speed_floor": (0.01, 100.0), "late": (0, 1000), "filtered": _FLAG,
-    "n_inputs": (0, len(VARIABLE_COLUMNS)), "n_entries": (0, guard.MAX_ENTRIES), "of_mpc": _FLAG,
+    "n_inputs": (0, len(VARIABLE_COLUMNS)), "n_entries": (0, guard.MAX_ENTRIES), "tunes_mpc": _FLAG,
     "place": (0, len(VARIABLE_COLUMNS) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
@@ -86,11 +86,11 @@ def _is_open(name: str) -> bool:
 def places(block: Block, kind: Any) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    of_mpc = kind is Tracking
-    names = ARRAY_PLACES | (MPC_PLACES if of_mpc else LAW_PLACES)
+    tunes_mpc = kind is Tracking
+    names = ARRAY_PLACES | (MPC_PLACES if tunes_mpc else LAW_PLACES)
     numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
     numbers |= {
-        "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(of_mpc),
+        "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(tunes_mpc),
         "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
         "EQUALS": len(list(_equals(block, kind))),
         "AT_CAR": at["tracker.check.settings"], **CHECK_PLACES,
@@ -99,14 +99,14 @@ def places(block: Block, kind: Any) -> dict[str, int]:
         "PERIOD_AT": _place(TRACKER_SETTINGS, "period"), "LATE_AT": _place(TRACKER_SETTINGS, "late"),
         "SCHEDULE_N_INPUTS": _place(schedule.SCHEDULE_SETTINGS, "n_inputs"),
         "SCHEDULE_N_ENTRIES": _place(schedule.SCHEDULE_SETTINGS, "n_entries"),
-        "SCHEDULE_OF_MPC": _place(schedule.SCHEDULE_SETTINGS, "of_mpc"),
+        "SCHEDULE_OF_MPC": _place(schedule.SCHEDULE_SETTINGS, "tunes_mpc"),
         "SCHEDULE_ENTRIES": _place(schedule.SCHEDULE_SETTINGS, "entries"), "ENTRY_WORDS": size_of(schedule.ENTRY),
         "SCHEDULE_SCRATCH": schedule.SCHEDULE_SCRATCH - guard.MAP_AXES, "MAP_AXES": guard.MAP_AXES,
         **{f"GUARD_{name.upper()}": _place(schedule.SCHEDULE_SETTINGS, "guard", name)
            for name in ("used", "mapped", "integers", "numbers")},
         **{name: getattr(functions, name) for name in ("NUMBER", "NETWORK", "SUGENO", "MULTILINEAR")},
     }  # fmt: skip
-    return numbers | (_mpc_places(block) if of_mpc else {})
+    return numbers | (_mpc_places(block) if tunes_mpc else {})
 
 
 def _mpc_places(block: Block) -> dict[str, int]:
@@ -118,8 +118,8 @@ def _mpc_places(block: Block) -> dict[str, int]:
            for name in ("laguerre", "terms", "longest_horizon", "most_moves")},
         "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(TurnIn, "lag"),
         **{f"ESTIMATOR_{name.upper()}": _place(kalman.FilterParameters, name)
-           for name in ("whole", "share", "longest", "late")},
-        **{f"LEARNER_{name.upper()}": _place(learning.LearnerParameters, name) for name in ("kept", "hypotheses")},
+           for name in ("periods", "share", "longest", "late")},
+        **{f"LEARNER_{name.upper()}": _place(learning.LearnerParameters, name) for name in ("commands", "hypotheses")},
         "ESTIMATES_LEAST": kalman.memory_size(0, 0),
         "ESTIMATES_LONGEST": kalman.memory_size(1, 0) - kalman.memory_size(0, 0),
         "ESTIMATES_LATE": kalman.memory_size(0, 1) - kalman.memory_size(0, 0),

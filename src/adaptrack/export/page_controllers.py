@@ -108,7 +108,7 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
     car = _any_car()
     if kind == "published":
         mpc = published_mpc(car, period=world.period, preview=preview)
-        return {"settings": _others(mpc, _WRITTEN), "functions": _functions(mpc)}
+        return {"settings": _other_settings(mpc, _WRITTEN), "functions": _functions(mpc)}
     if kind not in INFORMED_KINDS:
         kinds = (*INFORMED_KINDS, "published", *MADE_BY)
         raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
@@ -118,7 +118,7 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
     left = _row(order)
     for part in CAR_FIELDS:
         del left[part]
-    return {"order": left, "settings": _others(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
+    return {"order": left, "settings": _other_settings(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
 
 
 _WRITTEN = (
@@ -133,7 +133,7 @@ def _any_car() -> Vehicle:
     return load_vehicle("paper")
 
 
-def _others(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
+def _other_settings(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
     return {key: value for key, value in mpc.settings()._asdict().items() if key not in written}
 
 

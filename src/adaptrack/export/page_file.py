@@ -112,9 +112,11 @@ def export_page(
         "car": _car(vehicle),
         "road": _road(road),
         "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
-        "profile": _known("profile", profile, list_profiles()),
+        "profile": _check_name("profile", profile, list_profiles()),
         "seed": seed,
-        "controllers": [{"kind": _known("controller", controller, CONTROLLER_KINDS)} for controller in controllers],
+        "controllers": [
+            {"kind": _check_name("controller", controller, CONTROLLER_KINDS)} for controller in controllers
+        ],
     }
     return write_page(file, setup)
 
@@ -129,7 +131,7 @@ def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     if isinstance(road, str | os.PathLike):
         if os.path.splitext(road)[1].lower() not in (".csv", ".txt"):
-            return {"name": _known("road", os.fspath(road), PAGE_ROADS)}
+            return {"name": _check_name("road", os.fspath(road), PAGE_ROADS)}
         read = read_points(road)
         points, name, closed = read.points, Path(road).stem, None
     else:
@@ -139,7 +141,7 @@ def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     return {"points": points.tolist(), "closed": bool(closed), "name": name}
 
 
-def _known(kind: str, name: str, names: Iterable[str]) -> str:
+def _check_name(kind: str, name: str, names: Iterable[str]) -> str:
     if name not in names:
         raise UnknownName(f"export_page: the page has no {kind} {name!r}. {did_you_mean(name, names)}")
     return name

@@ -75,7 +75,7 @@ def refuse(controller: Any) -> None:
         raise InvalidInput(
             f"export: scheduler {scheduler!r} of {name!r} is Python: give one of a file (save_scheduler)."
         )
-    if isinstance(controller, MPC) and not controller.in_kernel:
+    if isinstance(controller, MPC) and not controller.runs_in_kernel:
         raise InvalidInput(f"export: QP solver {controller.solver.name!r} of {name!r} is Python's: use 'active-set'.")
 
 
@@ -151,7 +151,7 @@ def _with_learned(controller: MPC, settings: Any) -> Any:
     """The MPC under some settings."""
     mpc = controller.batch(1, settings, curved=True)
     if controller.learner is not None:
-        learned = controller.learner.again(controller._mpc.informed.learned[0])
+        learned = controller.learner.restart_memory(controller._mpc.informed.learned[0])
         mpc.informed.fresh[:] = learned
         mpc.informed.learned[0] = learned
     return mpc

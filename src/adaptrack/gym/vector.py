@@ -145,7 +145,7 @@ class _VectorEnv(VectorEnv):
                     raise InvalidInput(f"reset: seed: need one, or one for each of {self.num_envs} cars.")
                 self._rngs = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
         infos = self._begin(np.arange(self.num_envs), options)
-        self._each(self._look)
+        self._apply_to_blocks(self._look)
         return self._observed.copy(), infos | self._belief_info
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
@@ -155,13 +155,13 @@ class _VectorEnv(VectorEnv):
         self._take(checked_action(actions, self.action_space))  # type: ignore[arg-type]
         waiting = np.flatnonzero(self._own["over"] != EPISODE_RUNS)
         self._own["cost"] = 0.0
-        self._each(self._drive)
+        self._apply_to_blocks(self._drive)
         self._own["total"] += self._own["cost"]
         rewards = -self._own["cost"]
         over = self._own["over"].copy()
         over[waiting] = EPISODE_RUNS
         infos = self._begin(waiting, None) if waiting.size else {}
-        self._each(self._look)
+        self._apply_to_blocks(self._look)
         if over.any():
             self._say_how(np.flatnonzero(over), infos)
         return (
@@ -185,7 +185,7 @@ class _VectorEnv(VectorEnv):
         if self._pool is not None:
             self._pool.shutdown()
 
-    def _each(self, work: Callable[[CarBlock], None]) -> None:
+    def _apply_to_blocks(self, work: Callable[[CarBlock], None]) -> None:
         """Do the same to every block."""
         if self._pool is None or len(self._blocks) == 1:
             for block in self._blocks:

@@ -59,7 +59,7 @@ class Observer:
 
     def restart(self) -> None:
         """Before the first sample of a drive; what was learned stays."""
-        self.memory, self.known = np.zeros(self.size), self.learner.again(self.known)
+        self.memory, self.known = np.zeros(self.size), self.learner.restart_memory(self.known)
 
     def take(self, speed: float, measured: Array, command: float) -> None:
         """An instant: speed (m/s), what is measured, the command (rad) that was applied since the last one.
@@ -67,7 +67,7 @@ class Observer:
         As `core.controllers.informed` lets a controller take it.
         """
         if self.learns:
-            left_out = int(kalman.memory_of(self.memory, 0).left_out)
+            left_out = int(kalman.memory_of(self.memory, 0).excluded)
             kernel.learn(speed, measured, command, left_out, self.learning, self.known)
             if not np.isfinite(self.beliefs).all():
                 self.known = self.learner.fresh()
@@ -83,7 +83,7 @@ class Observer:
     def now(self) -> Array:
         """What is predicted from: z, saturation, the model, dead time in periods, bias; then the sensor left out."""
         m, p = kalman.memory_of(self.memory, 0), kalman.parameters_of(self.filter, 0)
-        return np.array([*m.z, m.saturation, *self.car, p.whole, p.share, p.bias, m.left_out])
+        return np.array([*m.z, m.saturation, *self.car, p.periods, p.share, p.bias, m.excluded])
 
 
 def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:

@@ -200,7 +200,7 @@ def tune(
     if holdable.constant is None:
         raise InvalidInput(f"tune: {holdable.verdict}")
     constant, held = holdable.constant
-    domain = requested.replace(**held._asdict()) if held != holdable.whole else requested
+    domain = requested.replace(**held._asdict()) if held != holdable.requested else requested
     default = mpc.tuning
     bench = _Bench(driven, mpc, world, domain)
     runs = _search_runs(bench.on_twin(), effort, seed)

@@ -50,10 +50,12 @@ def check_controller(controller: Controller, symmetric: bool = True, variables: 
     ask = _Asking(controller, variables)
     for drive in _drives():
         first = ask.drive(drive)
-        ask.same(first, ask.drive(drive), "after `reset` it must answer as before")
+        ask.expect_equal(first, ask.drive(drive), "after `reset` it must answer as before")
         if symmetric:
             mirrored = ask.drive([(-state, speed, -reference) for state, speed, reference in drive])
-            ask.same([-angle for angle in first], mirrored, "the mirrored situation must give the mirrored command")
+            ask.expect_equal(
+                [-angle for angle in first], mirrored, "the mirrored situation must give the mirrored command"
+            )
     if controller.sees_road:
         ask.drive_bend()
     for question in _broken():
@@ -151,7 +153,7 @@ class _Asking:
         self.last = angle
         return angle
 
-    def same(self, commands: list[float], expected: list[float], clause: str) -> None:
+    def expect_equal(self, commands: list[float], expected: list[float], clause: str) -> None:
         difference = float(np.abs(np.subtract(commands, expected)).max())
         if difference > COMMAND_TOLERANCE:
             self.fail(clause, f"{commands} against {expected} rad")

@@ -86,7 +86,7 @@ def _tuning(entries: NDArray[np.float64]) -> Tuning:
 
 
 class MPCParts(NamedTuple):
-    """What an MPC is made of, in addition to its vehicle, its moves and its solver."""
+    """The parts of an MPC: tuning, model, estimator, limits and what it learns."""
 
     tuning: Tuning
     model: PredictionModel
@@ -168,8 +168,8 @@ def _order(
     """A row of `core.synthesis.informed.Order`."""
     rows = kernel.Order.new(1, unsure_given=uncertainty is not None)
     rows["car"], rows["world"] = car.numbers, world
-    rows["within"] = row_of(KnownWithinRow, car.known_within, said=car.known_within is not None)
-    rows["given"], rows["file"], rows["actuator"] = steering
+    rows["within"] = row_of(KnownWithinRow, car.known_within, is_given=car.known_within is not None)
+    rows["caller"], rows["file"], rows["actuator"] = steering
     rows["unsure"] = (uncertainty or Uncertainty()).row
     rows["longest_horizon"], rows["most_moves"] = _MOST
     rows["method"], rows["start"] = method.row, row_of(LearnerStart, method.start)
@@ -190,7 +190,7 @@ def _learning_reason(order: Any, learning: GivenLearning) -> str:
     """Why a controller learns or not."""
     if learning != AUTO:
         return "as given"
-    sources = (order.given, order.file, order.actuator)
+    sources = (order.caller, order.file, order.actuator)
     unknown = [name for name in ("lag", "dead_time") if all(math.isnan(steering[name]) for steering in sources)]
     return f"unknown {' and '.join(unknown).replace('_', ' ')}" if unknown else "known lag and dead time"
 

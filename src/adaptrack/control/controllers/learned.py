@@ -155,7 +155,7 @@ class Learner:
         self.limits = Ranges(*((float(delay.least), float(delay.most)) for delay in delays))
         """never left"""
         self.stiffness, self.stiffness_spread = float(row.stiffness), float(row.stiffness_spread)
-        self.longest, self.kept = float(row.longest), int(row.kept)
+        self.longest, self.commands = float(row.longest), int(row.commands)
         self.car = car.replace(lf=float(row.car.lf), lr=float(row.car.lr))
 
     def parameters(self) -> Array:
@@ -194,7 +194,7 @@ class Learner:
             values |= {"stiffness": math.sqrt(front * rear), "balance": front / rear}
         return {**values, "delay": steering.lag + steering.dead_time}
 
-    def again(self, memory: Array) -> Array:
+    def restart_memory(self, memory: Array) -> Array:
         """A memory before the first step of another drive."""
         fresh = memory.copy()
         kernel.begin_again(fresh)

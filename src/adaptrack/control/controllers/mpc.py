@@ -316,7 +316,7 @@ class MPC(Controller):
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
 
     @property
-    def in_kernel(self) -> bool:
+    def runs_in_kernel(self) -> bool:
         """Whether the kernels solve the QP, rather than a back-end called from Python."""
         return isinstance(self.solver, ActiveSet | Hildreth)
 
@@ -410,7 +410,7 @@ class MPC(Controller):
         before = self._mpc.informed.learned
         self.reset()
         if self.learner is not None:
-            self._mpc.informed.learned[:] = self.learner.again(before[0])
+            self._mpc.informed.learned[:] = self.learner.restart_memory(before[0])
 
     def _load(self) -> None:
         """Restore the parts that a copy lacks: the lock, addresses, compiled functions."""
@@ -572,7 +572,7 @@ class MPC(Controller):
 
     def _compiled_step(self) -> Callable[[], None]:
         """The step behind the arguments, compiled on first use."""
-        if self.in_kernel:
+        if self.runs_in_kernel:
             record = MPCStep(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
             self._step = direct(step, record)
         else:
@@ -663,13 +663,13 @@ class MPC(Controller):
         if self._resident_plan is None:
             self._ask(variables)
             return
-        numbers, values = self._given(variables), self._variables
+        numbers, values = self._variable_numbers(variables), self._variables
         if numbers.size < values.size:
             values[numbers.size :] = 0.0
         values[: numbers.size] = numbers
         self._schedule_step(values, self._resident_plan, self._requested)
 
-    def _given(self, variables: Sequence[float]) -> Array:
+    def _variable_numbers(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
         count = self._variables.size
         try:

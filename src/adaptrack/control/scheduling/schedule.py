@@ -105,7 +105,7 @@ class Schedule:
         object.__setattr__(self, "domain", np.asarray(self.domain, dtype=np.float64))
         self._check_inputs()
         self._check_entries()
-        if self.guard is not None and not self.of_mpc:
+        if self.guard is not None and not self.tunes_mpc:
             raise InvalidInput("schedule: only the MPC's entries can be guarded.")
         if max(self.largest) > MAX_HORIZON:
             raise InvalidInput(
@@ -142,24 +142,26 @@ class Schedule:
                     f"schedule: the function of {name} has {reads} inputs, the schedule {len(self.inputs)}."
                 )
             least = -math.inf
-            if self.of_mpc:
+            if self.tunes_mpc:
                 least = 1.0 if name in HORIZONS else 0.0
             finite = math.isfinite(entry.low) and math.isfinite(entry.high)
-            if not (finite and least <= entry.low <= entry.high) or (self.of_mpc and name == "R" and entry.low <= 0.0):
+            if not (finite and least <= entry.low <= entry.high) or (
+                self.tunes_mpc and name == "R" and entry.low <= 0.0
+            ):
                 raise InvalidInput(
                     f"schedule: bounds of {name} are ({entry.low!r}, {entry.high!r}): need finite low <= high"
-                    f"{', those of R positive, of horizons at least 1' if self.of_mpc else ''}."
+                    f"{', those of R positive, of horizons at least 1' if self.tunes_mpc else ''}."
                 )
 
     @property
-    def of_mpc(self) -> bool:
+    def tunes_mpc(self) -> bool:
         """True if the schedule tunes the MPC, whose rules for horizons and weights then hold."""
         return self.entries == ENTRIES
 
     @property
     def largest(self) -> tuple[int, int]:
         """The longest Np and Nc that it can ask for; 0 of a schedule for another controller."""
-        if not self.of_mpc:
+        if not self.tunes_mpc:
             return 0, 0
         highest = [self.tuning[name].high for name in HORIZONS]
         if self.guard is not None:
@@ -284,17 +286,17 @@ class Schedule:
 def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
     array = np.zeros(1, kernel.SCHEDULE_SETTINGS)
     settings, pool = array[0], Pool()
-    settings.n_inputs, settings.n_entries, settings.of_mpc = (
+    settings.n_inputs, settings.n_entries, settings.tunes_mpc = (
         len(schedule.inputs),
         len(schedule.entries),
-        schedule.of_mpc,
+        schedule.tunes_mpc,
     )
     for row, name, (low, high) in zip(settings.inputs, schedule.inputs, schedule.domain.tolist(), strict=False):
         row.place, row.low, row.high = VARIABLE_NAMES.index(name), low, high
     for row, name in zip(settings.entries, schedule.entries, strict=False):
         entry = schedule.tuning[name]
         row.kind = pool.add(entry.function, row)
-        row.log10, row.horizon = entry.log10, schedule.of_mpc and name in HORIZONS
+        row.log10, row.horizon = entry.log10, schedule.tunes_mpc and name in HORIZONS
         row.low, row.high = entry.low, entry.high
     if schedule.guard is not None:
         schedule.guard.pack(settings.guard, pool)

@@ -106,7 +106,7 @@ def archive(folder: Path) -> Path:
     path = folder / f"{stem}.tar.gz"
     listed = library.manifest()
     entries = {name: listed["exports"][name] for name in EXPORT_TARGETS if name in listed["exports"]}
-    files = {entry["file"]: library.whole(entry).read_bytes() for entry in entries.values()}
+    files = {entry["file"]: library.verified_file(entry).read_bytes() for entry in entries.values()}
     files[library.MANIFEST] = json.dumps({"sources": listed["sources"], "exports": entries}, indent=1).encode()
     files["LICENSE"] = (library.PACKAGE_FOLDER.parents[1] / "LICENSE").read_bytes()
     with gzip.GzipFile(path, "wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as tar:
@@ -125,9 +125,9 @@ def emit_export(text: str, name: str) -> bytes:
     chosen = EXPORT_TARGETS[name]
     target = chosen.target
     machine, text = retargeted(text, target, "pic" if _hosted(target) else "static")
-    module = _of_these(text, chosen, machine)
+    module = _select_kernels(text, chosen, machine)
     optimised(module, machine, speed=2 if chosen.compact else 3, vectors=not chosen.compact)
-    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(str(module), target))))
+    content = bytes(machine.emit_object(llvm.parse_assembly(_split_sections(str(module), target))))
     left = [symbol for symbol in undefined(content) if symbol not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
@@ -138,7 +138,7 @@ def _hosted(target: CompileTarget) -> bool:
     return not re.search("none|wasm", target.triple)
 
 
-def _of_these(text: str, chosen: ExportTarget, machine: Any) -> Any:
+def _select_kernels(text: str, chosen: ExportTarget, machine: Any) -> Any:
     """The module of the kernels and what they call, ready to be optimised."""
     target = chosen.target
     if chosen.compact:
@@ -167,7 +167,7 @@ def _of_these(text: str, chosen: ExportTarget, machine: Any) -> Any:
     return module
 
 
-def _in_sections(text: str, target: CompileTarget) -> str:
+def _split_sections(text: str, target: CompileTarget) -> str:
     """A module with a section for each function and constant; for WebAssembly and macOS they are apart as they are."""
     if re.search("wasm|macosx", target.triple):
         return text

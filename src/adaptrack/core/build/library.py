@@ -57,7 +57,7 @@ class _Stages:
     def __init__(self) -> None:
         self._begin = time.monotonic()
 
-    def done(self, text: str) -> None:
+    def report(self, text: str) -> None:
         time_now = time.monotonic()
         _say(f"  {time_now - self._begin:5.1f} s  {text}")
         self._begin = time_now
@@ -112,7 +112,7 @@ def modules(kernels: Mapping[str, Any], stages: _Stages) -> list[Path]:
         paths.append(path)
     if broken:
         raise BuildError("\n".join(broken))
-    stages.done(f"{len(kernels)} kernels in {len(paths)} files, of which {compiled} were compiled by numba")
+    stages.report(f"{len(kernels)} kernels in {len(paths)} files, of which {compiled} were compiled by numba")
     return paths
 
 
@@ -177,7 +177,7 @@ def finished(name: str, objects: list[bytes]) -> tuple[str, bytes]:
     if command is not None:
         ending = {"windows": "dll", "macos": "dylib"}.get(name.split("-")[0], "so")
         return ending, link(objects, command)
-    if name in of_this_kind():
+    if name in compatible_processors():
         raise BuildError("no linker: install binutils or lld, or the package ziglang (pip install ziglang).")
     if len(objects) > 1:
         raise BuildError(f"no linker for {name}: install lld, or the package ziglang (pip install ziglang).")
@@ -198,7 +198,7 @@ def _put(path: Path, content: bytes) -> None:
         raise
 
 
-def of_this_kind() -> list[str]:
+def compatible_processors() -> list[str]:
     """The names of all that a processor of this machine's kind may ask for when the library is loaded."""
     name = library.processor()
     return [target for target in COMPILE_TARGETS if target.split("-v")[0] == name.split("-v")[0]] or [name]
@@ -218,7 +218,7 @@ def _built(section: str = "libraries") -> dict[str, dict[str, str]]:
         if library.manifest()["sources"] == library.source_hashes():
             for name, entry in _listed(section).items():
                 with suppress(*library.UNUSABLE):
-                    library.whole(entry)
+                    library.verified_file(entry)
                     current[name] = entry
     return current
 
@@ -247,7 +247,7 @@ def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[s
     """
     from .exports import EXPORT_TARGETS, shipped
 
-    processors = of_this_kind() if portable else [library.processor()]
+    processors = compatible_processors() if portable else [library.processor()]
     requested: dict[str, tuple[dict[str, Any], list[str]]] = {
         "libraries": (COMPILE_TARGETS, [*processors, *names]),
         "exports": (EXPORT_TARGETS, [*(shipped(processors) if portable else ()), *exports]),
@@ -277,8 +277,8 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
     results: dict[str, dict[str, dict[str, str]]] = {section: {} for section in requested}
     for section, name in jobs:
         stem, ending, content = _emitted(section, name, paths)
-        results[section][name] = _kept(stem, ending, content)
-        stages.done(f"{results[section][name]['file']}: {len(content) // 1000} kB")
+        results[section][name] = _write_library(stem, ending, content)
+        stages.report(f"{results[section][name]['file']}: {len(content) // 1000} kB")
     _put(library.BUILT_FOLDER / HEADER_FILE, header(kernels.values()).encode())
     sources = {name: sources_of(Path(kernel.function.__code__.co_filename)) for name, kernel in kernels.items()}
     results = {
@@ -319,7 +319,7 @@ def _emitted(section: str, name: str, paths: list[Path]) -> tuple[str, str, byte
     return f"kernels-{name}", ending, content
 
 
-def _kept(stem: str, ending: str, content: bytes) -> dict[str, str]:
+def _write_library(stem: str, ending: str, content: bytes) -> dict[str, str]:
     """Write what was made; its entry of the manifest. Another build at the same time has its own name."""
     digest = hashlib.sha256(content).hexdigest()
     path = library.BUILT_FOLDER / f"{stem}-{digest[:12]}.{ending}"

@@ -142,7 +142,7 @@ def type_of(callee: Any) -> Any:
     if callee.kind == "primitive":
         return _function_type(getattr(operations, callee.function.__name__))
     if callee.kind == "caller":
-        return _of_caller(callee.of)
+        return _caller_type(callee.of)
     if callee.kind == "view":
         return _function_type(operations.view(numba.from_dtype(callee.of.dtype)))
     if callee.kind == "local":
@@ -309,7 +309,7 @@ def _intrinsic(typed: Any, names: list[str]) -> Any:
     return intrinsic(scope["call"])
 
 
-def _of_caller(signature: Any) -> Any:
+def _caller_type(signature: Any) -> Any:
     """Numba's type of a call of a C function by its address."""
     caller_signature = numba_signature(signature)
 

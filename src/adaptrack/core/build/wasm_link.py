@@ -62,7 +62,7 @@ def linked(content: bytes, stack: int = STACK) -> bytes:
     numbered |= {
         TABLE_SECTION: bytes([1, _FUNCREF, 0, 1]),  # entry 0 stays empty
         MEMORY: bytes([1, 0]) + _unsigned(-(-end // MEMORY_PAGE)),
-        GLOBAL: _unsigned(1 + global_section.number()) + pointer + global_section.rest(),
+        GLOBAL: _unsigned(1 + global_section.number()) + pointer + global_section.remainder(),
         EXPORT: _exports(symbols),
         CODE: bytes(code),
     }
@@ -80,7 +80,7 @@ def _sections(content: bytes) -> Iterator[tuple[int, str, bytes]]:
         kind, section = reader.byte(), reader.sized()
         section_reader = Reader(section)
         name = section_reader.sized().decode() if kind == 0 else ""
-        yield kind, name, section_reader.rest()
+        yield kind, name, section_reader.remainder()
 
 
 def _refuse_imports(content: bytes) -> None:

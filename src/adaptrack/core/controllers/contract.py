@@ -151,11 +151,11 @@ def path_at(reference, road, time, speed, period):
     x, heading, curvature = v * time, atan2(rate, v), clip(curvature, -tightest, tightest)
     if road.line.start.size == 0:
         return Path(x, y, heading, curvature)
-    return _beside(road, x, Path(x, y, heading, curvature))
+    return _shift_to_curve(road, x, Path(x, y, heading, curvature))
 
 
 @inlined
-def _beside(road, distance, path):
+def _shift_to_curve(road, distance, path):
     """A path beside a straight road, at a distance (m) along it, laid beside the curved one."""
     x, y, heading, curvature = point_at(road.station + distance, road.line)
     x0, y0, heading0, _ = point_at(road.station, road.line)

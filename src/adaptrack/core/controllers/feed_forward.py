@@ -51,7 +51,7 @@ LEAST_GAIN = 0.3
 MAX_TURN_IN = 0.5
 """s, the largest T"""
 
-Bend = record("Bend", ("before", "here", "after", "beyond"))
+Bend = record("Bend", ("before", "present", "after", "beyond"))
 """How far (m) the road lies to the left at four instants in a row."""
 bend_at = viewer(Bend)
 
@@ -79,8 +79,8 @@ def _requested(place, bend):
     p = clip(place, 1.0, bend.size - 2.0)
     i = min(whole(p), bend.size - 3)
     y = bend_at(bend, i - 1)
-    near = y.before - 2.0 * y.here + y.after
-    curvature = y.here - 2.0 * y.after + y.beyond
+    near = y.before - 2.0 * y.present + y.after
+    curvature = y.present - 2.0 * y.after + y.beyond
     return near + (p - i) * (curvature - near)
 
 

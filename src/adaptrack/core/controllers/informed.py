@@ -40,8 +40,8 @@ def _learn(slot, speed, mpc):
     """Learn from what is measured, and let model and estimator of the slot believe it; the factor on R."""
     informed, out = mpc.informed, mpc.answer[slot]
     learned, command = informed.learned[slot], mpc.memory[slot].command
-    n_left_out = whole(kalman.memory_of(informed.estimates[slot], 0).left_out)
-    learning.learn(speed, mpc.measured, command, n_left_out, informed.learner, learned)
+    excluded = whole(kalman.memory_of(informed.estimates[slot], 0).excluded)
+    learning.learn(speed, mpc.measured, command, excluded, informed.learner, learned)
     for i in range(len(learning.BELIEF_NAMES)):
         if not math.isfinite(learned[learning.BELIEFS_OFFSET + i]):
             begin_learning(slot, informed)

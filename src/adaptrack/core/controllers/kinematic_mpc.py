@@ -180,7 +180,7 @@ def _workspace(n, memory):
 
 # -- the model --------------------------------------------------------------------------------------------------------
 @inlined
-def held(speed, curvature, time, p):
+def discretise_held(speed, curvature, time, p):
     """The model over a time (s) with the input held: (p, q, r, a), (b_e, b_theta, b_delta), (w_e, w_theta), delta_r."""
     reference = clip(atan(p.wheelbase * curvature), p.angle_min, p.angle_max)
     slope = 1.0 / square(cos(reference))
@@ -208,7 +208,7 @@ def _roll(e, theta, reference, road, s, p, sent):
         h = predicted_path.share_of(piece, behind) * p.period
         v = planned_speed(road, time, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
-        (pe, qe, r, a), (be, bt, bd), (we, wt), _ = held(v, curvature, h, p)
+        (pe, qe, r, a), (be, bt, bd), (we, wt), _ = discretise_held(v, curvature, h, p)
         u = predicted_path.sent(piece, sent)
         e = e + pe * theta + qe * delta + be * u + we
         theta = theta + r * delta + bt * u + wt
@@ -227,7 +227,7 @@ def _write_stages(distance, reference, road, s, t, p, stage):
         v = planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance, reference, road, s, p)
         distance += v * p.step
-        free, driven_response, pushed, steady = held(v, curvature, p.step, p)
+        free, driven_response, pushed, steady = discretise_held(v, curvature, p.step, p)
         stage[SCALAR_P, i], stage[SCALAR_Q, i], stage[SCALAR_R, i], stage[A, i] = free
         stage[B_E, i], stage[B_THETA, i], stage[B_DELTA, i] = driven_response
         stage[W_E, i], stage[W_THETA, i] = pushed

@@ -88,11 +88,11 @@ MEMORY = record(
         "command",  # rad, the last one
         "speed", "Np", "Nc", "Q", "R",  # what the workspace holds for this slot; NaN: nothing
         "factor_status", "condition",  # of the Hessian
-        "active", "kept",  # active rows of the last solution, and whether their factor still belongs to E
+        "active", "has_factor",  # active rows of the last solution, and whether their factor still belongs to E
         "planned", "age",  # entries of the last plan (0: none), and periods since it was made
         "reference",  # m, y_ref of the last step
     ),
-    integers=("started", "factor_status", "active", "kept", "planned", "age"),
+    integers=("started", "factor_status", "active", "has_factor", "planned", "age"),
 )  # fmt: skip
 
 MPC_TUNING = columns("Np", "Nc", "Q", "R")
@@ -361,7 +361,7 @@ def forget(slot, mpc):
 def restart(slot, mpc):
     """Reset a slot but keep what it has learned of the car."""
     memory = mpc.memory[slot]
-    memory.started, memory.command, memory.active, memory.kept, memory.planned, memory.age = 0, 0.0, 0, 0, 0, 0
+    memory.started, memory.command, memory.active, memory.has_factor, memory.planned, memory.age = 0, 0.0, 0, 0, 0, 0
     memory.reference = 0.0
     mpc.previous[slot, :] = 0.0
     mpc.informed.estimates[slot, :] = 0.0

@@ -115,7 +115,7 @@ def form_model(slot, speed, of_next, mpc, functions):
     n = moves + (1 if limited else 0)
     clear_ends(n, n, hessian)
     memory.factor_status, memory.condition = factorise(n, hessian, ws.factor[slot])
-    memory.kept = 0
+    memory.has_factor = 0
     memory.speed, memory.Np, memory.Nc, memory.Q, memory.R = speed, np_, nc, q, r
 
 

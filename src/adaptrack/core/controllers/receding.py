@@ -59,8 +59,10 @@ def _solve_qp(slot, n, m, mpc):
     if settings.solver == EXACT_ONLY or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
         most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
-        status, further, active = active_set(problem, factor, solution, scratch, memory.active, memory.kept > 0, most)
-        memory.active, memory.kept = active, 1
+        status, further, active = active_set(
+            problem, factor, solution, scratch, memory.active, memory.has_factor > 0, most
+        )
+        memory.active, memory.has_factor = active, 1
         iterations += further
     return status, iterations
 

@@ -77,7 +77,7 @@ FilterParameters = record(
     "FilterParameters",
     [
         "period",  # s
-        "whole", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
+        "periods", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
         "longest",  # whole periods of the longest dead time that there may be: so many commands are remembered
         "late",  # periods that are gone through anew at every step
         "bias",  # rad, by which the wheels turn beyond the command
@@ -106,8 +106,8 @@ Memory = record(
         "steps",
         "speed",  # m/s, of the matrices
         "blind",  # periods since a position was taken in
-        "far",  # positions in a row that are `MAX_OUTLIER_DISTANCE` from the estimate
-        "left_out",  # 1 + the sensor that is left out, 0: none
+        "outliers",  # positions in a row that are `MAX_OUTLIER_DISTANCE` from the estimate
+        "excluded",  # 1 + the sensor that is left out, 0: none
         "saturation",  # m/s^2, what the tyres pull less than linear ones in the bend at hand
         "spare",  # m/s^2, what the tyres can still answer
         "felt_error",  # variance of the predicted lateral acceleration, by forces that the model gets wrong
@@ -352,7 +352,7 @@ def _correct(instant, p, m, samples):
         if sensor == MEASUREMENT.lateral_acceleration:
             noise += m.felt_error
         variance = extended_kalman.scatter(noise, h, m.P, cross)
-        is_left_out = m.left_out == sensor + 1
+        is_left_out = m.excluded == sensor + 1
         if instant == p.late:  # every sample once
             disagreement = min(square(innovation) / variance, 2.0 * p.bound * p.bound)
             share = p.regaining if is_left_out else p.forgetting
@@ -372,7 +372,7 @@ def _choose_left_out(p, m):
     Where the model is wrong the gyro disagrees at least as much as the others, and the heading does not; where the gyro
     is, the heading disagrees with it. A sensor without noise of its own is never left out: it is the model that errs.
     """
-    worst, most, out = -1, p.distrust, whole(m.left_out) - 1
+    worst, most, out = -1, p.distrust, whole(m.excluded) - 1
     for sensor in range(SENSOR_COUNT):
         disagreement = m.disagreement[sensor]
         if sensor == MEASUREMENT.yaw_rate:
@@ -382,9 +382,9 @@ def _choose_left_out(p, m):
         if disagreement > most and p.variance[sensor] > square(LEAST_NOISE[sensor]):
             worst, most = sensor, disagreement
     if out < 0:
-        m.left_out = worst + 1.0
+        m.excluded = worst + 1.0
     elif m.disagreement[out] < p.trust:
-        m.left_out = 0.0
+        m.excluded = 0.0
 
 
 @inlined
@@ -394,7 +394,7 @@ def _go_on(p, m, samples, commands):
     if late > 0:
         _copy(m.past_z, m.past_P, m.z, m.P)
     for instant in range(min(late, whole(m.steps) - 1), -1, -1):
-        newer = whole(p.whole) + instant
+        newer = whole(p.periods) + instant
         _predict(samples[instant, FILTER_SAMPLE.turned], commands[newer + 1], commands[newer], p, m)
         _correct(instant, p, m, samples)
         most = m.spare / max(abs(m.z[FILTER_STATE.side]), m.spare)
@@ -408,7 +408,7 @@ def _go_on(p, m, samples, commands):
 @inlined
 def _wait(p, m, commands, z):
     """z at the time when the new command begins to act, from that of the present instant."""
-    waiting = whole(p.whole)
+    waiting = whole(p.periods)
     if p.share > 0.0:
         _move(m.F_share, z)
         _steer(m.b_share, commands[waiting] + p.bias, z)
@@ -434,8 +434,8 @@ def _is_far_off(measured, m):
         is_outlier = (
             abs(y - m.z[FILTER_STATE.y]) > MAX_OUTLIER_DISTANCE or abs(yaw - m.z[FILTER_STATE.yaw]) > MAX_OUTLIER_TURN
         )
-        m.far = m.far + 1.0 if is_outlier else 0.0
-    return m.far >= RESTART_OUTLIERS
+        m.outliers = m.outliers + 1.0 if is_outlier else 0.0
+    return m.outliers >= RESTART_OUTLIERS
 
 
 @exported(ESTIMATE)

@@ -61,7 +61,7 @@ LearnerParameters = record("LearnerParameters", (
     "computation",  # s, from a measurement until its command is given
     "lag",  # s, of the steering, as given
     "hypotheses",  # how many
-    "kept",  # commands that are remembered
+    "commands",  # commands that are remembered
     "mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear",  # as known; stiffness of an axle
     "wind_turn",  # 1/m, yaw acceleration over lateral acceleration of side wind
     "rate",  # rad/s, of the steering; inf: no limit
@@ -224,7 +224,7 @@ def _steer(candidate, time, rate, command):
 def _follow(candidate, age, p, memory):
     """The wheels of a hypothesis over the period before a sample of an age (s)."""
     late, sent = (candidate.x[DEAD_TIME] + age) / p.period, memory[_SENT:]
-    periods = min(whole(late + 1e-9), whole(p.kept) - 2)
+    periods = min(whole(late + 1e-9), whole(p.commands) - 2)
     share, before = clip(late - periods, 0.0, 1.0), periods + 1
     candidate.swept, candidate.swept_by_lag = 0.0, 0.0
     if share > 0.0:
@@ -257,7 +257,7 @@ def _axles(candidate, speed, angle, p):
 
 @inlined
 def _accelerations(front, rear, p):
-    """What forces of the axles over the mass add to dv_y/dt and dr/dt."""
+    """The parts of dv_y/dt and dr/dt from the axle forces over the mass."""
     return front + rear, p.mass / p.yaw_inertia * (p.lf * front - p.lr * rear)
 
 
@@ -385,7 +385,7 @@ def _predict_covariance(candidate, mixed, f, g, p):
 
 @inlined
 def _reading(sensor, candidate, speed, by_dead_time, p, h):
-    """What a sensor reads of x; h: its derivatives over x. by_dead_time: derivative of the wheel angle (rad/s)."""
+    """Reading of a sensor in x; h: its derivatives over x. by_dead_time: derivative of the wheel angle (rad/s)."""
     if sensor == MEASUREMENT.lateral_acceleration:  # F_f + F_r + w
         of_front, of_rear = _states(), _states()
         front, rear = _axles(candidate, speed, candidate.wheels, p)
@@ -476,12 +476,12 @@ def _lose_motion(candidate):
 def _begin(p, measured, command, m, memory):
     """From the first sample of a drive."""
     sent = memory[_SENT:]
-    for i in range(whole(p.kept)):
+    for i in range(whole(p.commands)):
         sent[i] = command
     for sensor in range(kalman.SENSOR_COUNT):
         m.last[sensor], m.second_last[sensor], m.third_last[sensor] = measured[sensor], math.nan, math.nan
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         candidate.wheels, candidate.by_lag = command, 0.0
         _lose_motion(candidate)
         for state, sensor in ((LATERAL_VELOCITY, MEASUREMENT.vy), (YAW_RATE, MEASUREMENT.yaw_rate)):
@@ -490,9 +490,9 @@ def _begin(p, measured, command, m, memory):
 
 @inlined
 def _creep(age, p, memory):
-    """Of a car that stands or creeps only the wheels move; its motion is unknown after."""
+    """Move only the wheels of a car that stands or creeps; its motion is unknown afterwards."""
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         _follow(candidate, age, p, memory)
         _lose_motion(candidate)
 
@@ -502,7 +502,7 @@ def _difference(p, memory):
     """Variance of the wheel angles of the hypotheses (rad^2)."""
     mean, square, count = 0.0, 0.0, whole(p.hypotheses)
     for i in range(count):
-        angle = hypothesis(i, p.kept, memory).wheels
+        angle = hypothesis(i, p.commands, memory).wheels
         mean += angle / count
         square += angle * angle / count
     return square - mean * mean
@@ -513,14 +513,14 @@ def _weigh(p, memory):
     """The weights of the hypotheses."""
     best, total, count = -math.inf, 0.0, whole(p.hypotheses)
     for i in range(count):
-        best = max(best, hypothesis(i, p.kept, memory).evidence)
+        best = max(best, hypothesis(i, p.commands, memory).evidence)
     for i in range(count):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         candidate.evidence = max(candidate.evidence - best, LOWEST)
         candidate.weight = exp(candidate.evidence)
         total += candidate.weight
     for i in range(count):
-        hypothesis(i, p.kept, memory).weight /= total
+        hypothesis(i, p.commands, memory).weight /= total
 
 
 @inlined
@@ -528,7 +528,7 @@ def _mean(state, p, memory):
     """Mean of a state over the hypotheses."""
     mean = 0.0
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         mean += candidate.weight * candidate.x[state]
     return mean
 
@@ -539,7 +539,7 @@ def _covariance(state, other, p, memory):
     a, b = _mean(state, p, memory), _mean(other, p, memory)
     total = 0.0
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         between = (candidate.x[state] - a) * (candidate.x[other] - b)
         total += candidate.weight * (between + candidate.covariance[state, other])
     return total
@@ -614,7 +614,7 @@ def _find_state(p, m, memory):
 def _return_to_prior(p, memory):
     """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         candidate.evidence *= 1.0 - p.return_share
         _grow(STEERING_LAG, p.prior_lag, candidate, p)
         _grow(DEAD_TIME, p.prior_dead_time, candidate, p)
@@ -705,7 +705,7 @@ def _judge(p, m, memory):
     """Compare what was measured with what was expected; in a contradiction, believe less."""
     surprise = 0.0
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         surprise += candidate.weight * candidate.disagreement
     if math.isfinite(surprise):
         m.disagreement += p.contradiction_share * (surprise - m.disagreement)
@@ -723,7 +723,7 @@ def learn(speed, measured, command, excluded, parameters, memory):
         return
     m.count += 1.0
     sent, latest = memory[_SENT:], command
-    for i in range(whole(p.kept)):
+    for i in range(whole(p.commands)):
         sent[i], latest = latest, sent[i]
     age = measured[MEASUREMENT.motion_age]
     age = age if 0.0 < age < IMPOSSIBLE_SIGNAL else 0.0
@@ -738,11 +738,11 @@ def learn(speed, measured, command, excluded, parameters, memory):
         _creep(age, p, memory)
         return
     for i in range(whole(p.hypotheses)):
-        candidate = hypothesis(i, p.kept, memory)
+        candidate = hypothesis(i, p.commands, memory)
         candidate.weight = _advance(candidate, speed, age, measured, variance, p, memory)
     if _difference(p, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
         for i in range(whole(p.hypotheses)):
-            candidate = hypothesis(i, p.kept, memory)
+            candidate = hypothesis(i, p.commands, memory)
             candidate.evidence = (1.0 - p.evidence_share) * candidate.evidence + p.method.tempering * candidate.weight
     _weigh(p, memory)
     _judge(p, m, memory)
@@ -784,7 +784,7 @@ def believe(parameters, memory, model, filter_parameters, remembered):
         parameters_row.stiffness_front, parameters_row.stiffness_rear, parameters_row.lag = front, rear, b.used_lag
     late = (b.used_dead_time + p.computation) / p.period
     periods = floor(late + 1e-9)
-    filtering.whole, filtering.share = periods, late - periods if late - periods > 1e-9 else 0.0
+    filtering.periods, filtering.share = periods, late - periods if late - periods > 1e-9 else 0.0
     filtering.bias = b.used_bias
     if m.count > 1.5:
         change = filtering.bias - m.bias_before

@@ -182,7 +182,7 @@ def write_turning(parameters, turning):
 
 
 @inlined
-def _of(i, n):
+def _state_index(i, n):
     """Which of `PATH_STATE` is the i-th of n states: without lag there is no wheel angle among them."""
     return i if n == PATH_STATES or i < PATH_STATE.wheel_angle else i + 1
 
@@ -194,6 +194,6 @@ def discretise(speed, period, parameters, a, b, e):
     _hold(speed, period, parameters_of(parameters, 0), f, response)
     for i in range(n):
         for j in range(n):
-            a[i, j] = f[_of(i, n), _of(j, n)]
-        b[i], e[i] = response[_of(i, n)], 0.0
+            a[i, j] = f[_state_index(i, n), _state_index(j, n)]
+        b[i], e[i] = response[_state_index(i, n)], 0.0
     e[PATH_STATE.yaw], e[n - 1] = -period, -0.5 * speed * period * period

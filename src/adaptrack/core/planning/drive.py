@@ -56,7 +56,7 @@ def drive_instants(period, times):
 
 
 @inlined
-def _of(values, k):
+def _value_at(values, k):
     """The value at an instant, of one for each or one for all."""
     return values[k] if values.size > 1 else values[0]
 
@@ -70,10 +70,10 @@ def drive_along_road(drive, samples):
         place = on_lap(station, drive.route.line)
         _, _, _, curvature = point_at(station, drive.route.line)
         friction = value_at(place, drive.route.friction)
-        samples[SIGNAL.y_ref, k], samples[SIGNAL.speed, k] = _of(drive.reference, k), speed
+        samples[SIGNAL.y_ref, k], samples[SIGNAL.speed, k] = _value_at(drive.reference, k), speed
         for wheel in range(4):
             samples[SIGNAL.friction_front_left + wheel, k] = friction
-        samples[SIGNAL.wind_x, k], samples[SIGNAL.wind_y, k] = _of(drive.wind_x, k), _of(drive.wind_y, k)
+        samples[SIGNAL.wind_x, k], samples[SIGNAL.wind_y, k] = _value_at(drive.wind_x, k), _value_at(drive.wind_y, k)
         samples[SIGNAL.bank, k], samples[SIGNAL.station, k] = value_at(place, drive.route.bank), station
         samples[SIGNAL.acceleration, k] = curvature
 

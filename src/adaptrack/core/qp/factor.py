@@ -66,7 +66,7 @@ def factorise(n, E, factor):
     NON_FINITE when E holds NaN or infinity.
     """
     width = padded(n)
-    inverse_root, inverse = factor[INVERSE.root], factor[INVERSE.whole]
+    inverse_root, inverse = factor[INVERSE.root], factor[INVERSE.inverse]
     for i in range(n):
         for b in range(0, width, VECTOR_WIDTH):
             store(inverse, i, b, load(E, i, b))

@@ -76,7 +76,7 @@ VECTOR = columns("a", "d", "z", "r", "u", "residual", "step", "active_bounds", "
 PROBLEM_ROW = columns("slack", "bounds", "diagonal", "gradient")
 """Where they are. ``work``: three matrices, each a plane, and vectors in n, the rows of the fourth plane; ``rows``:
 vectors in m, then Hildreth's V (n rows) and H (m rows)."""
-INVERSE = columns("root", "whole")
+INVERSE = columns("root", "inverse")
 """The planes that `factor.factorise` writes: inverses of the Cholesky factor of E and of E."""
 
 SOLVE = several(int64, int64, int64)(Problem, Factor, SolutionRecord, Scratch, int64, boolean, int64)
@@ -103,7 +103,7 @@ def work_of(scratch):
 @inlined
 def factor_of(inverses, condition):
     """The `Factor` that `factor.factorise` has written."""
-    return Factor(inverses[INVERSE.root], inverses[INVERSE.whole], condition)
+    return Factor(inverses[INVERSE.root], inverses[INVERSE.inverse], condition)
 
 
 @inlined

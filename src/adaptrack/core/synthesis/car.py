@@ -27,14 +27,14 @@ SteeringRow = record("SteeringRow", ("lag", "dead_time", "rate", "limit"))
 KnownWithinRow = record(
     "KnownWithinRow",
     (
-        "said",  # 1: the numbers of the car come with how well they are known, 0: nobody says
+        "is_given",  # 1: the numbers of the car come with how well they are known, 0: nobody says
         "mass", "yaw_inertia", "stiffness_front", "stiffness_rear",  # factors
         "lf",  # m, to either side
         "track_front", "track_rear", "cg_height",  # m
         "frontal_area",  # factor
         "steering_lag", "steering_dead_time",  # s, to either side
     ),
-    integers=("said",),
+    integers=("is_given",),
 )  # fmt: skip
 """How far each number may be off; NaN: not said."""
 
@@ -126,7 +126,7 @@ def complete_car(wheelbase, load, truck, car, within):
     if not _place_axles(wheelbase, car):
         car.lf, car.lr = front, rear
         return AXLES_DISAGREE
-    within.said = 1
+    within.is_given = 1
     unplaced = math.isnan(front) and math.isnan(rear)
     within.lf = to_places(FRONT_DISTANCE_SPREAD * wheelbase, 3) if unplaced else math.nan
     within.mass = within.steering_lag = within.steering_dead_time = math.nan

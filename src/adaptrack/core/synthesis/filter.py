@@ -99,7 +99,7 @@ def sensor_noise(world, noise):
 
 
 @exported(several(int64, float64)(float64, float64))
-def in_periods(time, period):
+def split_periods(time, period):
     """A time (s) in whole periods (s), and the share of one more."""
     whole_periods = floor(time / period + 1e-9)
     share = time / period - whole_periods
@@ -149,9 +149,9 @@ def filter_numbers(filtering, car, period, lag, dead_time, numbers):
     p = kalman.parameters_of(numbers, 0)
     drifts, noise = filtering.drifts, filtering.noise
     p.period, p.bias = period, 0.0
-    whole_periods, p.share = in_periods(dead_time, period)
+    whole_periods, p.share = split_periods(dead_time, period)
     longest, late = filter_periods(filtering, period, dead_time)
-    p.whole, p.longest, p.late = float(whole_periods), float(longest), float(late)
+    p.periods, p.longest, p.late = float(whole_periods), float(longest), float(late)
     p.bound, p.patience, p.distrust, p.trust = (
         filtering.bound,
         filtering.patience / period,

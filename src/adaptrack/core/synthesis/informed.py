@@ -65,7 +65,7 @@ Order = record(
     (
         ("car", CarRow), ("within", KnownWithinRow),
         # by the caller, the car's file, the profile
-        ("given", SteeringRow), ("file", SteeringRow), ("actuator", SteeringRow),
+        ("caller", SteeringRow), ("file", SteeringRow), ("actuator", SteeringRow),
         ("world", ControllerWorld),
         ("unsure", UncertaintyRow), "unsure_given",  # 1: the caller says it
         "learning",  # `NEVER`, ...
@@ -227,7 +227,7 @@ def _order_status(order):
     off = _finite(world.bias_yaw_rate) and _finite(world.bias_wheel_angle)
     if not (times and sensed and off and _finite(world.move_weight)):
         return LOOP_WRONG
-    if not (_is_steering(order.given) and _is_steering(order.file) and _is_steering(order.actuator)):
+    if not (_is_steering(order.caller) and _is_steering(order.file) and _is_steering(order.actuator)):
         return STEERING_WRONG
     if order.unsure_given > 0 and not (
         0.0 <= unsure.lag <= MAX_DELAY and 0.0 <= unsure.dead_time <= MAX_DELAY
@@ -249,7 +249,7 @@ def informed_parts(order, parts):
     if status != OK:
         return status
     _copy_uncertainty(order.unsure, parts.unsure)
-    believe_steering(order.given, order.file, order.actuator, order.world.computation, parts.belief)
+    believe_steering(order.caller, order.file, order.actuator, order.world.computation, parts.belief)
     if order.filter_given == 0:
         sensor_noise(order.world, parts.filter.noise)
         parts.filter.oldest = order.world.oldest
@@ -272,7 +272,7 @@ def informed_sizes(order, parts):
 
 @inlined
 def _write_settings(order, parts, s):
-    """What of the settings follows from the loop."""
+    """Write the settings that follow from the loop: period, preview, delay and limits."""
     bounds, world = parts.bounds, order.world
     s.period, s.preview, s.delay = world.period, world.preview, parts.dead_time / world.period
     s.move_min, s.move_max, s.ahead = -bounds.move, bounds.move, bounds.ahead

@@ -46,9 +46,9 @@ LearnerRow = record(
         ("first", learning.Beliefs),  # before the first sample
         "start_stiffness", "start_balance",  # of the filters: logarithm, half the logarithm
         "longest",  # s, of dead time and computation
-        "kept",  # commands that are remembered
+        "commands",  # commands that are remembered
     ),
-    integers=("kept",),
+    integers=("commands",),
 )  # fmt: skip
 """What a learner may learn, and where it begins."""
 UNKNOWN_CAR_ROW = UncertaintyRow(lag=0.19, dead_time=0.175, stiffness=2.0, mass=0.3)
@@ -123,7 +123,7 @@ def _set_ranges(belief, uncertainty, by_caller, learner):
 def _copy_car_with_moved_cg(car, share, within, target):
     """Copy a car, its centre of mass moved rearward by a share of what the car's file leaves open."""
     _copy_car(car, target)
-    if within.said > 0 and within.lf > 0.0 and share != 0.0:
+    if within.is_given > 0 and within.lf > 0.0 and share != 0.0:
         target.lf = car.lf + share * within.lf
         target.lr = car.lf + car.lr - target.lf
 
@@ -146,7 +146,7 @@ def begin_learner(method, start, car, within, belief, uncertainty, by_caller, se
     _copy_car_with_moved_cg(car, method.rearward_share, within, learner.car)
     if by_caller == 0:
         uncertainty.stiffness, uncertainty.mass = UNKNOWN_CAR_ROW.stiffness, UNKNOWN_CAR_ROW.mass
-        if within.said > 0:
+        if within.is_given > 0:
             uncertainty_of_car(within, belief, uncertainty)
         uncertainty.lag, uncertainty.dead_time = UNKNOWN_CAR_ROW.lag, UNKNOWN_CAR_ROW.dead_time
     _set_ranges(belief, uncertainty, by_caller, learner)
@@ -164,7 +164,7 @@ def begin_learner(method, start, car, within, belief, uncertainty, by_caller, se
     learner.delay_tolerance = method.delay_tolerance if measures_vy else method.delay_tolerance_blind
     learner.stiffness_tolerance = method.stiffness_tolerance if measures_vy else method.stiffness_tolerance_blind
     learner.longest = learner.dead_time.most + learner.computation
-    learner.kept = whole(ceil((learner.longest + sensing.oldest) / period)) + 3
+    learner.commands = whole(ceil((learner.longest + sensing.oldest) / period)) + 3
     _set_first_belief(learner, start)
 
 
@@ -228,7 +228,7 @@ def _set_first_belief(learner, start):
 @exported(int64(Row(LearnerRow)))
 def learner_size(learner):
     """Numbers that the learner remembers."""
-    return _BEFORE + learner.kept + _HYPOTHESIS * learner.lag.count * learner.dead_time.count
+    return _BEFORE + learner.commands + _HYPOTHESIS * learner.lag.count * learner.dead_time.count
 
 
 @inlined
@@ -264,7 +264,7 @@ def learner_memory(learner, sensing, memory):
         m.noise[i] = m.noise[i] if m.noise[i] < math.inf else 0.0
     for i in range(lags.count):
         for j in range(dead_times.count):
-            hypothesis = learning.hypothesis(i * dead_times.count + j, learner.kept, memory)
+            hypothesis = learning.hypothesis(i * dead_times.count + j, learner.commands, memory)
             x, dead_time = hypothesis.x, _hypothesis_delay(j, dead_times, dead_times.middle, dead_times.half)
             x[learning.STEERING_LAG] = _hypothesis_delay(i, lags, lags.middle, lags.half)
             x[learning.DEAD_TIME] = dead_time + learner.computation
@@ -317,7 +317,12 @@ def learner_numbers(learner, sensing, numbers):
     _copy_method(method, p.method)
     _write_priors(learner, p)
     _write_drifts(learner, p)
-    p.period, p.computation, p.lag, p.kept = period, learner.computation, learner.assumed_lag, float(learner.kept)
+    p.period, p.computation, p.lag, p.commands = (
+        period,
+        learner.computation,
+        learner.assumed_lag,
+        float(learner.commands),
+    )
     p.hypotheses = float(learner.lag.count * learner.dead_time.count)
     p.mass, p.yaw_inertia, p.lf, p.lr = car.mass, car.yaw_inertia, car.lf, car.lr
     p.stiffness_front, p.stiffness_rear = 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear

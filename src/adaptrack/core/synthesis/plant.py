@@ -18,7 +18,7 @@ from ..maths.exact import ceil, square
 from ..plants.parameters import CHASSIS, unpack
 from ..plants.tyre import lateral_force, tyre_law
 from .car import static_loads
-from .filter import in_periods
+from .filter import split_periods
 
 Chassis = record("Chassis", CHASSIS)
 """Body, air and powertrain of a plant."""
@@ -152,7 +152,7 @@ def dead_periods(delay, dead_time, period):
 
     delay: control periods of computation; dead_time: s, of the steering.
     """
-    return in_periods(delay * period + dead_time, period)
+    return split_periods(delay * period + dead_time, period)
 
 
 # -- outline ----------------------------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def tracker_after(tracker):
 
 @inlined
 def _status(tracker, m, is_held):
-    """What an instant was."""
+    """The status of an instant, one of `STATUS`."""
     if m.offset != m.offset:
         return OFF_PATH
     if is_held:

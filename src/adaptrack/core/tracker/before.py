@@ -14,13 +14,13 @@ from ..models.contract import MEASUREMENT
 from ..road import CLOSED, foot_near, point_at
 from ..speed_plan import planned_speeds
 from .place import (
-    beside,
     carried,
     forward,
     has_position,
     hold,
     keep_pose,
     line,
+    path_errors,
     pose_of,
     sampled_pose,
     tell,
@@ -75,7 +75,7 @@ def tracker_before(tracker):
 def _end(tracker, m):
     """The end of a call: what its inputs say of each other, and what it gives."""
     m.open = 0
-    if m.left_out == 0:
+    if m.rejection == 0:
         tracker.tracked[TRACKED.suspect] = check_call(tracker.sample, m.command, tracker.check)
         _judge(tracker, m)
     tell(m, tracker.tracked)
@@ -166,7 +166,7 @@ def _take(tracker, m, measured):
     if m.instant > 0:
         m.newest = max(m.newest, m.given_t)
     pose = carried(sampled_pose(m), carry, forward(m), m.yaw_rate)
-    there = beside(tracker, pose, m.station - forward(m) * declared)
+    there = path_errors(tracker, pose, m.station - forward(m) * declared)
     measured[MEASUREMENT.y], measured[MEASUREMENT.yaw] = there.offset, there.heading_error
     return True
 

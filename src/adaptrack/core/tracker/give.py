@@ -60,7 +60,7 @@ def tracker_engage(angle, near, tracker):
     m = tracker.memory[0]
     begin_anew(tracker, m, angle)
     hint(m, near)
-    m.open, m.answered, m.left_out = 0, 0, 0
+    m.open, m.answered, m.rejection = 0, 0, 0
     tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
     tell(m, tracker.tracked)
@@ -76,8 +76,8 @@ def tracker_give(tracker):
     _leave_out_absurd(sample)
     t, at = sample[TRACKER_SAMPLE.t], sample[TRACKER_SAMPLE.now]
     at = at if math.isfinite(at) else t
-    m.left_out = _left_out(m, at)
-    if m.left_out > 0:
+    m.rejection = _rejection(m, at)
+    if m.rejection > 0:
         return
     sample[TRACKER_SAMPLE.now] = at
     _keep(m, sample, abs(at - t) > LONGEST_GAP)
@@ -101,7 +101,7 @@ def _leave_out_absurd(sample):
 
 
 @inlined
-def _left_out(m, at):
+def _rejection(m, at):
     """Why a call at a time (s) is left out; 0: it is not."""
     if not math.isfinite(at):
         return NO_TIME

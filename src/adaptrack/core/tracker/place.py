@@ -80,7 +80,7 @@ def has_path(tracker):
 
 
 @inlined
-def beside(tracker, pose, near):
+def path_errors(tracker, pose, near):
     """Offset and heading error of a pose, by its foot about an arc length (m)."""
     _, offset, heading, _ = foot_near(pose.x, pose.y, near, line(tracker))
     return Beside(offset, wrapped(pose.yaw - heading) if offset == offset else math.nan)
@@ -98,7 +98,7 @@ def find_on_path(tracker, m):
     centreline = line(tracker)
     m.station = nearest(m.x, m.y, m.yaw, ACROSS_PENALTY, m.near, centreline)
     _, _, m.heading, _ = point_at(m.station, centreline)
-    foot = beside(tracker, pose_of(m), m.station)
+    foot = path_errors(tracker, pose_of(m), m.station)
     m.offset, m.heading_error, m.near = foot.offset, foot.heading_error, math.nan
 
 
@@ -153,7 +153,7 @@ def restart(tracker, m):
 def tell(m, tracked):
     """Write what a call gives, see TRACKED; a call that was left out gives what the one before gave."""
     tracked[TRACKED.command] = m.command
-    tracked[TRACKED.status] = m.left_out if m.left_out > 0 else m.status
+    tracked[TRACKED.status] = m.rejection if m.rejection > 0 else m.status
     tracked[TRACKED.offset], tracked[TRACKED.heading_error] = m.offset, m.heading_error
     tracked[TRACKED.station] = m.station if m.offset == m.offset else math.nan
     tracked[TRACKED.belief_state], tracked[TRACKED.belief_at_bound] = m.belief_state, m.belief_at_bound

@@ -85,7 +85,7 @@ MEMORY = record(
         "waiting",  # 1: for the controller's command
         "open",  # 1: the call is not over
         "status",  # of the last call that was not left out
-        "left_out",  # REPEATED or NO_TIME of the call at hand, else 0
+        "rejection",  # REPEATED or NO_TIME of the call at hand, else 0
         "answered",  # 1: the call at hand gave a new command or status
         "fresh",  # 1: a new position is in the measurement
         "speed",  # m/s, last known, NaN: none yet
@@ -104,7 +104,7 @@ MEMORY = record(
         "belief_at_bound",  # likewise
     ),
     integers=(
-        "started", "instant", "due", "first", "waiting", "open", "status", "left_out", "answered", "fresh", "jumps",
+        "started", "instant", "due", "first", "waiting", "open", "status", "rejection", "answered", "fresh", "jumps",
     ),
 )  # fmt: skip
 """What a tracker remembers: all of it."""

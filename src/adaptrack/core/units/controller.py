@@ -69,7 +69,7 @@ LawSteeringUnit = record("LawSteeringUnit", (*_VALUES, ("tracking", LawTracking)
 
 
 @inlined
-def _known(value, flag):
+def _value_if(value, flag):
     return value if flag > 0.5 else math.nan
 
 
@@ -81,23 +81,23 @@ def _give(values, sample):
     age = values[STEERING_VALUE.age]
     sample[TRACKER_SAMPLE.t], sample[TRACKER_SAMPLE.now] = time - (age if math.isfinite(age) else 0.0), time
     sample[TRACKER_SAMPLE.x], sample[TRACKER_SAMPLE.y] = (
-        _known(values[STEERING_VALUE.x], pose),
-        _known(values[STEERING_VALUE.y], pose),
+        _value_if(values[STEERING_VALUE.x], pose),
+        _value_if(values[STEERING_VALUE.y], pose),
     )
     sample[TRACKER_SAMPLE.yaw], sample[TRACKER_SAMPLE.speed] = (
-        _known(values[STEERING_VALUE.yaw], pose),
+        _value_if(values[STEERING_VALUE.yaw], pose),
         values[STEERING_VALUE.speed],
     )
-    sample[TRACKER_SAMPLE.yaw_rate] = _known(values[STEERING_VALUE.yaw_rate], values[STEERING_VALUE.yaw_rate_known])
-    sample[TRACKER_SAMPLE.vy] = _known(values[STEERING_VALUE.vy], values[STEERING_VALUE.vy_known])
-    sample[TRACKER_SAMPLE.lateral_acceleration] = _known(
+    sample[TRACKER_SAMPLE.yaw_rate] = _value_if(values[STEERING_VALUE.yaw_rate], values[STEERING_VALUE.yaw_rate_known])
+    sample[TRACKER_SAMPLE.vy] = _value_if(values[STEERING_VALUE.vy], values[STEERING_VALUE.vy_known])
+    sample[TRACKER_SAMPLE.lateral_acceleration] = _value_if(
         values[STEERING_VALUE.lateral_acceleration], values[STEERING_VALUE.lateral_acceleration_known]
     )
-    sample[TRACKER_SAMPLE.wheel_angle] = _known(
+    sample[TRACKER_SAMPLE.wheel_angle] = _value_if(
         values[STEERING_VALUE.wheel_angle], values[STEERING_VALUE.wheel_angle_known]
     )
-    sample[TRACKER_SAMPLE.friction] = _known(values[STEERING_VALUE.friction], values[STEERING_VALUE.friction_known])
-    sample[TRACKER_SAMPLE.wind] = _known(values[STEERING_VALUE.wind], values[STEERING_VALUE.wind_known])
+    sample[TRACKER_SAMPLE.friction] = _value_if(values[STEERING_VALUE.friction], values[STEERING_VALUE.friction_known])
+    sample[TRACKER_SAMPLE.wind] = _value_if(values[STEERING_VALUE.wind], values[STEERING_VALUE.wind_known])
 
 
 @inlined

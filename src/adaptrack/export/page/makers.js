@@ -114,7 +114,7 @@ function carKnownTo(entry, car) {
 
 function carOfFile(car) {
   const row = copied("synthesis.car.CarRow", car.numbers), said = car.known_within;
-  const within = copied("synthesis.car.KnownWithinRow", said ? { ...said, said: 1 } : {});
+  const within = copied("synthesis.car.KnownWithinRow", said ? { ...said, is_given: 1 } : {});
   if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.OK) throw new Refusal("car", NO_CAR);
   return carOfRows(car, row, within);
 }
@@ -502,7 +502,7 @@ function informedConstants(known, car, believed, where) {
   order.car = car.rows.car;
   order.within = car.rows.within;
   order.file = car.rows.file;
-  order.given = copied("synthesis.car.SteeringRow", believed);
+  order.caller = copied("synthesis.car.SteeringRow", believed);
   const parts = mine(memory.row("synthesis.informed.InformedParts"));
   memory.call("usual_filter", new Block(memory, parts.filter.$at, "F", [parts.filter.$layout.words]));
   let status = memory.call("informed_parts", order, parts);
