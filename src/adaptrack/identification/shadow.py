@@ -33,7 +33,6 @@ from adaptrack.core.estimators.learning import SHORTEST_LAG
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.instants import LogSource, ReadLog, Samples
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading
@@ -345,12 +344,6 @@ def _judged(
 
 def _contradictions(read: ReadLog, car: Vehicle) -> Iterator[Warned]:
     """Inputs that contradict each other."""
-    checks = partial(check_conventions, read.log, car.wheelbase), partial(check_positions, read.columns.values)
-    for refuse in checks:
-        try:
-            refuse()
-        except InvalidInput as error:
-            yield Warned(str(error).removeprefix("log: ").rstrip("."), math.nan, 0.0)
     for sentence in check_loop(read.columns, car).contradictions:
         yield Warned(sentence.rstrip("."), math.nan, 0.0)
 
