@@ -27,7 +27,7 @@ from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, split_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
-from adaptrack.control.controllers.informed import HORIZON, informed_tuning
+from adaptrack.control.controllers.informed import HORIZON_DURATION, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.control.controllers.registry import register_controller
@@ -110,7 +110,7 @@ class NMPC(Controller):
         q_e: float = 1.0,
         q_course: float = 0.0,
         R: float | None = None,
-        horizon: float = HORIZON,
+        horizon: float = HORIZON_DURATION,
         iterations: int = 1,
         period: float | None = None,
         limits: LimitsArgument | None = None,
