@@ -75,7 +75,8 @@ def drive(road: Road, car_name: str, profile: str, lateral: float, options: argp
     except InvalidInput as error:
         return row | {"error": str(error), "failed": len(options.seed), "lap": float("nan"), "places": []}
     found = rollout_batch(
-        plant, mpc, RoadDrive(road, plan), which=np.zeros(len(options.seed), int), seeds=np.array(options.seed),
+        plant, mpc, RoadDrive(road, plan), scenario_indices=np.zeros(len(options.seed), int),
+        seeds=np.array(options.seed),
         profile=profile, threads=1,
     )  # fmt: skip
     places = []

@@ -213,7 +213,7 @@ def test_one_good_tuning_keeps_to_most_drives() -> None:
         at.published_mpc(car, period=0.05, preview=True),
         drives,
         tunings,
-        which=np.arange(len(drives)),
+        scenario_indices=np.arange(len(drives)),
         profile="road",
         failure=at.Failure(distance=5.0),
     )

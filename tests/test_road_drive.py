@@ -186,7 +186,7 @@ def test_a_batch_mixes_straight_and_curved_roads():
     straight = Road.from_segments([Line(length=HAIRPIN.length)], name="straight")
     drives = [RoadDrive(HAIRPIN, 6.0), RoadDrive(straight, 6.0)]
     mpc = MPC(CAR, profile="road")
-    found = rollout_batch(PLANT, mpc, drives, which=[0, 1, 0], seeds=[1, 2, 3], profile="road")
+    found = rollout_batch(PLANT, mpc, drives, scenario_indices=[0, 1, 0], seeds=[1, 2, 3], profile="road")
     alone = [rollout(PLANT, mpc, drives[i], profile="road", seed=s) for i, s in ((0, 1), (1, 2), (0, 3))]
     np.testing.assert_allclose(found.mse, [np.mean(run.error**2) for run in alone], rtol=1e-12)
 

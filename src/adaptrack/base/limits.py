@@ -70,7 +70,7 @@ OPERATING_POINTS = Limit(100_000, "operating points", "1.7 GB, and a search of 0
 SEED = Limit(10_000, "", "it numbers the drives")
 
 
-def check_limit(what: str, value: float, limit: Limit) -> None:
+def check_limit(quantity: str, value: float, limit: Limit) -> None:
     """Refuse a value above its bound.
 
     Raises
@@ -79,5 +79,5 @@ def check_limit(what: str, value: float, limit: Limit) -> None:
         "<what> = <value>: at most <most> <unit> (<reason>)."
     """
     if value > limit.most:
-        shown = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
-        raise InvalidInput(f"{what} = {shown}: {limit}.")
+        number = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
+        raise InvalidInput(f"{quantity} = {number}: {limit}.")

@@ -58,13 +58,13 @@ class Work:
 
     def update(self, *reported: Any) -> None:
         """reported: (stage, steps done, steps in all) or (steps done, steps in all)."""
-        *stage, done, steps = reported
+        *stage, step, steps = reported
         self.at = time.monotonic()
-        share = (self.finished + (done / steps if steps else 1.0)) / self.total
+        share = (self.finished + (step / steps if steps else 1.0)) / self.total
         if self.total == 1 and (share < self.share or share == 0.0):
             self.begun = self.at
         self.stage, self.share = str(stage[0]) if stage else self.label, share
-        if self.total > 1 and done == steps:
+        if self.total > 1 and step == steps:
             self.finished += 1
 
     def left(self) -> float | None:
@@ -78,9 +78,11 @@ class Work:
         """For people: what is done, the share of it, the time left."""
         name = self.label if self.stage == self.label else f"{self.label}, {self.stage}"
         left = self.left()
-        rest = f"{time.monotonic() - self.begun:.0f} s so far" if left is None else f"about {duration(left)} left"
+        duration_text = (
+            f"{time.monotonic() - self.begun:.0f} s so far" if left is None else f"about {duration(left)} left"
+        )
         share = f" {100.0 * self.share:.0f} %," if 0.0 < self.share < 1.0 else ""
-        return f"{name}:{share} {rest}"
+        return f"{name}:{share} {duration_text}"
 
 
 def duration(seconds: float) -> str:
@@ -90,18 +92,18 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-_shown: list[Work] = []
+_visible_work: list[Work] = []
 """The work whose progress is on show: what it calls says nothing of its own."""
 
 
 @contextmanager
 def showing(work: Work) -> Iterator[bool]:
     """Put the progress of some work on show; yields whether it is the only one, to be shown."""
-    _shown.append(work)
+    _visible_work.append(work)
     try:
-        yield _shown[0] is work
+        yield _visible_work[0] is work
     finally:
-        _shown.remove(work)
+        _visible_work.remove(work)
 
 
 @contextmanager
@@ -126,12 +128,12 @@ def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float
 
     every: s, of each pause after the first, where they shall be equal.
     """
-    pause, begun, said = FIRST, time.monotonic(), False
+    pause, begun, is_announced = FIRST, time.monotonic(), False
     while not over.wait(pause):
         say()
-        said = True
+        is_announced = True
         pause = min(max(NEXT, 0.1 * (time.monotonic() - begun)), RAREST) if every is None else every
-    return said
+    return is_announced
 
 
 def _tell(work: Work, over: threading.Event, say: Callable[[Work, bool], None]) -> None:
@@ -158,11 +160,11 @@ def _bar() -> Callable[[Work, bool], None]:
 
     def say(work: Work, ended: bool) -> None:
         share = 1.0 if ended else work.share
-        shown = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.line())}')
+        bar = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.line())}')
         if handles:
-            handles[0].update(shown)
+            handles[0].update(bar)
         else:
-            handles.append(display(shown, display_id=True))
+            handles.append(display(bar, display_id=True))
 
     return say
 

@@ -19,15 +19,15 @@ Member = TypeVar("Member")
 class Registry(Generic[Member]):
     """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first used.
 
-    what: the kind, for messages; register: the public function that adds to it; arguments: names of what every factory
-    is called with, by position.
+    member_kind: what a member is called in messages; register: the public function that adds to it; arguments: names
+    of what every factory is called with, by position.
     """
 
     def __init__(
-        self, what: str, register: str, factories: Mapping[str, Callable[..., Member] | str],
+        self, member_kind: str, register: str, factories: Mapping[str, Callable[..., Member] | str],
         arguments: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self.what, self.register, self.factories = what, register, dict(factories)
+        self.what, self.register, self.factories = member_kind, register, dict(factories)
         self.arguments = arguments
 
     def add(self, name: str, factory: Callable[..., Member] | str) -> None:

@@ -159,7 +159,7 @@ class TyreFile:
         high = min(self.loads[1], HEAVIEST * self.scaled_load)
         loads = np.linspace(low, high, 25)
         slips = np.linspace(0.0, min(self.slips, STEEPEST), 61)[1:]
-        slip, load = (each.ravel() for each in np.meshgrid(slips, loads))
+        slip, load = (grid.ravel() for grid in np.meshgrid(slips, loads))
         samples = Samples(slip, load, self.force(slip, load), np.zeros(slip.size, bool))
         stiffness, ratio = self._digressive(loads)
         reaches = self.relaxation_length(self.scaled_load)
@@ -185,8 +185,8 @@ class TyreFile:
             return np.asarray(x[0] * (1.0 + x[1] ** -2) * q / (1.0 + (q / x[1]) ** 2) / target - 1.0)
 
         start = np.clip([self.stiffness(self.scaled_load) / 1e5, p["PKY2"]], [1e-9, 0.11], [1e3, 99.0])
-        found = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))
-        return float(f"{1e5 * found.x[0]:.5g}"), float(f"{found.x[1]:.5g}")
+        solution = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))
+        return float(f"{1e5 * solution.x[0]:.5g}"), float(f"{solution.x[1]:.5g}")
 
     def _said(self, loads: Array, reaches: Array | None) -> list[str]:
         """Return the note on the relaxation length."""
@@ -219,16 +219,16 @@ def read_tyre_file(path: str | os.PathLike[str]) -> TyreFile:
 def _sections(where: str) -> dict[str, dict[str, _Value]]:
     """Values by section and key, both in capitals, without empty values, comments ($ or !) and tables without keys."""
     text = read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
-    found: dict[str, dict[str, _Value]] = {}
+    sections: dict[str, dict[str, _Value]] = {}
     section = ""
     for number, line in enumerate(text.splitlines(), 1):
         bare = re.split(r"[$!]", line, maxsplit=1)[0].strip()
         if heading := re.fullmatch(r"\[([^\]]*)\]", bare):
             section = heading[1].strip().upper()
-            found.setdefault(section, {})
+            sections.setdefault(section, {})
         elif "=" in bare:
             key, _, value = (part.strip(" \t'\"") for part in bare.partition("="))
-            key, values = key.upper(), found.setdefault(section, {})
+            key, values = key.upper(), sections.setdefault(section, {})
             if key in values and value not in ("", values[key].text):
                 raise ConfigError(
                     f"{printable(where)}, line {number}: {key} stands in line {values[key].line} with another value: "
@@ -236,7 +236,7 @@ def _sections(where: str) -> dict[str, dict[str, _Value]]:
                 )
             if value:
                 values[key] = _Value(value, number)
-    return found
+    return sections
 
 
 class _Reader:
@@ -393,9 +393,9 @@ class _Reader:
         if any(p[key] for key in CAMBER):
             yield "Camber is left out: the plant's wheels stand upright."
         if model.startswith("MF 6"):
-            pressure, usual = (self.number("OPERATING_CONDITIONS", key, 0.0) for key in ("INFLPRES", "NOMPRES"))
-            differs = f" ({usual:g}), not as it is ({pressure:g})" if pressure and usual and pressure != usual else ""
+            actual, nominal = (self.number("OPERATING_CONDITIONS", key, 0.0) for key in ("INFLPRES", "NOMPRES"))
+            differs = f" ({nominal:g}), not as it is ({actual:g})" if actual and nominal and actual != nominal else ""
             yield f"The inflation pressure is taken as nominal{differs}."
-        others = [words for name, words in OTHERS.items() if name in self.sections]
-        if others:
-            yield f"Not read: {', '.join(others)}."
+        unused_sections = [words for name, words in OTHERS.items() if name in self.sections]
+        if unused_sections:
+            yield f"Not read: {', '.join(unused_sections)}."

@@ -106,30 +106,34 @@ def fit_law(
     """
     from scipy.optimize import least_squares
 
-    low, high, scale = (np.array(each) for each in list(zip(*_NUMBERS, strict=True))[:3])
+    low, high, scale = (np.array(column) for column in list(zip(*_NUMBERS, strict=True))[:3])
     moves = np.array([not number.freed_by or number.freed_by in free for number in _NUMBERS])
     start = np.array([1.35, 0.0, friction, tyre.friction_load_sensitivity, tyre.digressive_load_ratio or 2.0,
                       1.0, 1.0, 0.0, 0.0])  # fmt: skip
     if "load sensitivity" in free:
         start[3] = 0.1
 
-    def residual(x: Array, whole: Array) -> Array:
-        whole[moves] = x
-        candidate, mu = _changed(tyre, whole)
-        slip = samples.slip - np.where(samples.rear, whole[8], whole[7])
+    def residual(x: Array, law_parameters: Array) -> Array:
+        law_parameters[moves] = x
+        candidate, mu = _changed(tyre, law_parameters)
+        slip = samples.slip - np.where(samples.rear, law_parameters[8], law_parameters[7])
         return (lateral_force(candidate, slip, samples.load, mu, samples.rear) - samples.force) / samples.load
 
     best = None
     for shape, curvature in ((1.35, -2.0), (1.35, 0.0), (1.6, 0.5), (1.2, -0.5)):
-        whole = start.copy()
-        whole[:2] = shape, curvature
-        whole = np.clip(whole, low + 1e-6, high - 1e-6)
-        found = least_squares(
-            residual, whole[moves], bounds=(low[moves], high[moves]), x_scale=scale[moves], args=(whole.copy(),)
+        parameters = start.copy()
+        parameters[:2] = shape, curvature
+        parameters = np.clip(parameters, low + 1e-6, high - 1e-6)
+        solution = least_squares(
+            residual,
+            parameters[moves],
+            bounds=(low[moves], high[moves]),
+            x_scale=scale[moves],
+            args=(parameters.copy(),),
         )
-        if np.isfinite(found.cost) and (best is None or found.cost < best[0]):
-            whole[moves] = found.x
-            best = found.cost, whole
+        if np.isfinite(solution.cost) and (best is None or solution.cost < best[0]):
+            parameters[moves] = solution.x
+            best = solution.cost, parameters
     if best is None:
         raise InvalidInput("the tyre law fits no such forces: they hold values beyond any tyre's.")
     fitted, mu = _changed(tyre, best[1])
@@ -140,8 +144,8 @@ def fit_law(
 
 def _changes(tyre: Tyre) -> list[str]:
     """The keys that a fit changes."""
-    found = ["shape", "curvature", "friction_load_sensitivity", "stiffness_front", "stiffness_rear"]
-    return found if tyre.digressive_load_ratio is None else [*found, "digressive_load_ratio"]
+    changed_names = ["shape", "curvature", "friction_load_sensitivity", "stiffness_front", "stiffness_rear"]
+    return changed_names if tyre.digressive_load_ratio is None else [*changed_names, "digressive_load_ratio"]
 
 
 def _changed(tyre: Tyre, x: Array) -> tuple[Tyre, float]:

@@ -228,12 +228,12 @@ def compute_metrics(
 
 def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
     """Limits, QPs, held angles and step times, by the names of `Metrics`."""
-    driven = np.isfinite(trajectory.command)
-    diagnostics = {name: values[driven] for name, values in trajectory.diagnostics.items()}
+    is_commanded = np.isfinite(trajectory.command)
+    diagnostics = {name: values[is_commanded] for name, values in trajectory.diagnostics.items()}
     limits = diagnostics.get("at_limit", _NOTHING)
     status = diagnostics.get("qp_status", _NOTHING)
     iterations = diagnostics.get("qp_iterations", _NOTHING)
-    reckoned = diagnostics.get("dead_reckoning", np.zeros(driven.sum()))
+    reckoned = diagnostics.get("dead_reckoning", np.zeros(is_commanded.sum()))
     answered = (status == _SOLVED) | (status == _CAPPED)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
     quantiles = np.percentile(step_times, [50, 99, 99.9]).tolist() if step_times.size else [math.nan] * 3
@@ -245,8 +245,8 @@ def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
         "qp_solved": int(np.count_nonzero(status == _SOLVED)),
         "qp_capped": int(np.count_nonzero(status == _CAPPED)),
         "qp_failed": int(np.count_nonzero(~answered)),
-        "held": int(np.count_nonzero(trajectory.held[driven])),
-        "dead_reckoning": int(np.count_nonzero((reckoned > 0.0) & ~trajectory.held[driven])),
+        "held": int(np.count_nonzero(trajectory.held[is_commanded])),
+        "dead_reckoning": int(np.count_nonzero((reckoned > 0.0) & ~trajectory.held[is_commanded])),
         "dead_reckoning_max": largest_known(diagnostics.get("dead_reckoning", np.empty(0))),
         "qp_residual_max": largest_known(diagnostics.get("qp_residual", np.full(status.size, math.nan))[answered]),
         "qp_iterations_mean": _mean(iterations),
@@ -310,8 +310,8 @@ class PathRecord:
             "lateral_acceleration": run.lateral_acceleration, "wheel_angle": run.steering, "yaw_rate": run.yaw_rate,
             "command": run.command, "curvature": run.road.get("curvature", np.zeros(len(run))),
         }  # fmt: skip
-        whole = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
-        end = len(run) if whole.all() else int(whole.argmin())
+        is_finite = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+        end = len(run) if is_finite.all() else int(is_finite.argmin())
         return None if end < 2 else cls(**{name: values[:end] for name, values in columns.items()})
 
     @property
@@ -401,11 +401,11 @@ def belief_shares(trajectory: Trajectory) -> dict[str, Any]:
 
 def last_belief_state(trajectory: Trajectory) -> str:
     """The last state of what is learned, in words; empty where nothing is."""
-    driven = np.flatnonzero(np.isfinite(trajectory.command))
+    commanded_rows = np.flatnonzero(np.isfinite(trajectory.command))
     diagnostics = trajectory.diagnostics
-    if "belief_state" not in diagnostics or not driven.size:
+    if "belief_state" not in diagnostics or not commanded_rows.size:
         return ""
-    state, at_bound = (float(diagnostics[name][driven[-1]]) for name in ("belief_state", "belief_at_bound"))
+    state, at_bound = (float(diagnostics[name][commanded_rows[-1]]) for name in ("belief_state", "belief_at_bound"))
     return BeliefState(int(state)).words(bounded_quantity(at_bound))
 
 

@@ -49,19 +49,19 @@ class Said(NamedTuple):
 
 def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Estimates that lie outside what was believed, or what any car has, in words."""
-    said = []
-    for each in estimates.values():
-        if abs(each.shift) > FARTHEST and not each.name.startswith(("noise", "gyro")):
-            said.append(
-                f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what "
-                f"was believed ({each.before[0]:.3g} to {each.before[1]:.3g})"
+    messages = []
+    for estimate in estimates.values():
+        if abs(estimate.shift) > FARTHEST and not estimate.name.startswith(("noise", "gyro")):
+            messages.append(
+                f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
+                f"standard deviations from what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
             )
-    return said + _beyond_physics(estimates, car)
+    return messages + _beyond_physics(estimates, car)
 
 
-def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+def _beyond_physics(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Return the quantities outside physical bounds; a car file may still hold an unusual car."""
-    wheelbase, lf = car.wheelbase, found["lf"].value
+    wheelbase, lf = car.wheelbase, estimates["lf"].value
     lr = max(wheelbase - lf, 1e-3)
     load = car.mass * GRAVITY / wheelbase
     rows = (
@@ -71,15 +71,15 @@ def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
         ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), STIFFNESS),
     )
     return [
-        f"{what} {scale * found[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
-        for name, what, unit, scale, (low, high) in rows
-        if not low <= scale * found[name].value <= high
-        and not found[name].before[0] <= found[name].value <= found[name].before[1]
+        f"{label} {scale * estimates[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
+        for name, label, unit, scale, (low, high) in rows
+        if not low <= scale * estimates[name].value <= high
+        and not estimates[name].before[0] <= estimates[name].value <= estimates[name].before[1]
     ]
 
 
-def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[Said]) -> list[str]:
-    """Quantities in which stretches or logs (``what``) contradict each other, in words.
+def contradictions(subject: str, names: Sequence[str], prior: Said, statements: Sequence[Said]) -> list[str]:
+    """Quantities in which stretches or logs (``subject``) contradict each other, in words.
 
     names: of the m quantities; those of `MODEL_ERRORS` are compared.
     """
@@ -87,11 +87,14 @@ def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[
     for i, name in enumerate(names):
         if name not in MODEL_ERRORS:
             continue
-        freed = [_freed(prior.mean[i], prior.variance[i], each.mean[i], each.variance[i]) for each in said]
+        freed = [
+            _freed(prior.mean[i], prior.variance[i], statement.mean[i], statement.variance[i])
+            for statement in statements
+        ]
         informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
         if len(informed) > 1:
             tests.append((name, np.array(informed).T))
-    found = []
+    messages = []
     for name, (values, variances) in tests:
         positive = name != "understeer_gradient"
         error = MODEL_ERRORS[name]
@@ -100,13 +103,13 @@ def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[
         weights = 1.0 / (variances + error**2)
         scatter = float(np.sum(weights * (values - np.sum(weights * values) / weights.sum()) ** 2))
         if chi2.sf(scatter, values.size - 1) < LEVEL / len(tests):
-            each = ", ".join(_written(name, value) for value in values)
-            found.append(
-                f"{what} contradict each other on {name}: {each} (chi-square {scatter:.0f} with {values.size - 1} "
-                f"degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by chance in "
+            numbers = ", ".join(_written(name, value) for value in values)
+            messages.append(
+                f"{subject} contradict each other on {name}: {numbers} (chi-square {scatter:.0f} with "
+                f"{values.size - 1} degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by chance in "
                 f"{100 * LEVEL:g} % of logs)"
             )
-    return found
+    return messages
 
 
 def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:

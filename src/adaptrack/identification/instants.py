@@ -63,9 +63,9 @@ class ReadLog:
     def without(self, names: Sequence[str]) -> ReadLog:
         """Return a copy without signals."""
         blank = np.full(self.log.samples, math.nan)
-        kept = {name: values for name, values in self.columns.values.items() if name not in names}
+        remaining = {name: values for name, values in self.columns.values.items() if name not in names}
         gone: dict[str, Any] = {name: blank for name in names if name in ("vy", "acceleration", "wheel", "yaw")}
-        return replace(self, columns=replace(self.columns, values=kept), log=replace(self.log, **gone))
+        return replace(self, columns=replace(self.columns, values=remaining), log=replace(self.log, **gone))
 
     def segments(self, period: float, path: Road | None) -> Iterator[Samples]:
         """Each piece between gaps and halts at the control instants."""
@@ -84,11 +84,11 @@ class ReadLog:
                 measured[:, getattr(MEASURED, name)] = values
             command = log.command[i:j][np.searchsorted(t, grid + ON_GRID * period, side="right") - 1]
             before = self.before if i == 0 and self.before is not None else float(command[0])
-            made = Samples(grid, speed, command, before, measured)
+            samples = Samples(grid, speed, command, before, measured)
             if raw[1].size and raw[2].size:
                 x, y = (_at(grid, raw[0], values, period) for values in raw[1:])
-                made = made.along(_driven(x, y, speed) if path is None else path, (x, y, yaw))
-            yield made
+                samples = samples.along(_driven(x, y, speed) if path is None else path, (x, y, yaw))
+            yield samples
 
 
 def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
@@ -101,18 +101,18 @@ def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
 
 def _at(grid: Array, time: Array, values: Array, period: float) -> Array:
     """Values at instants: the sample of an instant, else on the line between its neighbours; NaN in holes."""
-    known = np.isfinite(time) & np.isfinite(values)
-    known[known] = np.diff(np.maximum.accumulate(time[known]), prepend=-np.inf) > 0.0
-    t, v = time[known], values[known]
+    is_finite = np.isfinite(time) & np.isfinite(values)
+    is_finite[is_finite] = np.diff(np.maximum.accumulate(time[is_finite]), prepend=-np.inf) > 0.0
+    t, v = time[is_finite], values[is_finite]
     if t.size < 2:
         return np.full(grid.size, math.nan)
     after = np.clip(np.searchsorted(t, grid - ON_GRID * period), 1, t.size - 1)
-    found = np.interp(grid, t, v, math.nan, math.nan)
-    found[t[after] - t[after - 1] > max(3.0 * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
+    resampled = np.interp(grid, t, v, math.nan, math.nan)
+    resampled[t[after] - t[after - 1] > max(3.0 * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
     for near in (after - 1, after):
         there = np.abs(t[near] - grid) <= ON_GRID * period
-        found[there] = v[near[there]]
-    return found
+        resampled[there] = v[near[there]]
+    return resampled
 
 
 def _driven(x: Array, y: Array, speed: Array) -> Road | None:

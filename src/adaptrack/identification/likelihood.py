@@ -48,8 +48,8 @@ class Likelihood:
         """used: (n,) 1 where a sample is taken in and counts; all when left out."""
         self._kernel = kernel
         self.log, self.car = log, car
-        self.median = np.array([beliefs[each.name].median for each in QUANTITIES])
-        self.spread = np.array([beliefs[each.name].spread for each in QUANTITIES])
+        self.median = np.array([beliefs[quantity.name].median for quantity in QUANTITIES])
+        self.spread = np.array([beliefs[quantity.name].spread for quantity in QUANTITIES])
         rows = np.zeros((len(kernel.ROW), log.samples))
         for name in ("time", "command", "speed", *OUTPUTS):
             rows[kernel.ROW._fields.index(name)] = getattr(log, name)
@@ -61,7 +61,7 @@ class Likelihood:
         self._answer = np.empty((kernel.ANSWER, log.samples))
         rows[kernel.ROW.gusts] = 1.0
         present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
-        self.present = {name: bool(here) for name, here in zip(OUTPUTS, present, strict=True)}
+        self.present = {name: bool(is_present) for name, is_present in zip(OUTPUTS, present, strict=True)}
         settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
         counts = (rows[kernel.ROW.used] > 0.0) & (settled >= SETTLING)
         measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(OUTPUTS)])
@@ -82,7 +82,7 @@ class Likelihood:
             silent |= {"delay", "lag_share", "rate"}
         elif not self.present["wheel"]:
             silent |= {"lateness"}
-        return np.array([each.name not in silent for each in QUANTITIES])
+        return np.array([quantity.name not in silent for quantity in QUANTITIES])
 
     def values(self, z: Array) -> Array:
         """The quantities at a point z, in the order of `QUANTITIES`."""
@@ -104,8 +104,8 @@ class Likelihood:
             "wind_angle_limit": car.wind_angle_limit,
             "push_time": PUSH_TIME, "wind_rise": value["wind_smoothness"] * value["wind_time"],
         }  # fmt: skip
-        named = value | derived
-        return np.array([named[name] for name in self._kernel.Quantities._fields])
+        values_by_name = value | derived
+        return np.array([values_by_name[name] for name in self._kernel.Quantities._fields])
 
     def innovations(self, z: Array) -> tuple[Array, Array]:
         """All innovations and variances, each (len(OUTPUTS), n), NaN where nothing is measured."""
@@ -147,16 +147,16 @@ class Likelihood:
     def beliefs(self) -> dict[str, Prior]:
         """Current prior of every quantity."""
         pairs = zip(self.median, self.spread, strict=True)
-        return {each.name: Prior(*map(float, pair)) for each, pair in zip(QUANTITIES, pairs, strict=True)}
+        return {quantity.name: Prior(*map(float, pair)) for quantity, pair in zip(QUANTITIES, pairs, strict=True)}
 
     def part(self, rows: slice) -> Likelihood:
         """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
         begins = self.log.begins[rows].copy()
         begins[0] = True
         signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
-        each = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
-        each._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
-        return each
+        part = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
+        part._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
+        return part
 
     def counted(self, z: Array) -> tuple[Array, Array]:
         """Innovations and variances that count, flat."""
@@ -189,23 +189,23 @@ class Likelihood:
 
     def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
         """The most likely point from a start, and what is known there."""
-        now, damping = self.scored(z), 1e-3
+        current, damping = self.scored(z), 1e-3
         for _ in range(MOST_STEPS):
             moved = z.copy()
-            scaled = now.information + damping * np.diag(np.diag(now.information))
-            moved[self.free] -= np.clip(np.linalg.solve(scaled, now.gradient), -1.5, 1.5)
+            scaled = current.information + damping * np.diag(np.diag(current.information))
+            moved[self.free] -= np.clip(np.linalg.solve(scaled, current.gradient), -1.5, 1.5)
             there = self.objective(moved)
-            if there < now.objective:
-                fell = now.objective - there
+            if there < current.objective:
+                fell = current.objective - there
                 z, damping = moved, max(0.2 * damping, 1e-6)
-                now = self.scored(z)
+                current = self.scored(z)
                 if fell < enough:
                     break
             else:
                 damping = max(10.0 * damping, 1e-3)
                 if damping > 1e6:
                     break
-        return z, now
+        return z, current
 
     def covariance(self, at: Scored) -> Array:
         """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
@@ -219,9 +219,9 @@ class Likelihood:
         stretch = np.broadcast_to(np.floor(self.log.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
         scatter = inverse @ inverse  # of the prior
         for number in np.unique(stretch):
-            here = stretch == number
-            its = _squares(at.by_error[:, here]) + _squares(at.by_size[:, here])
-            moved = np.linalg.solve(at.information - its, at.scores[:, here].sum(axis=1))
+            rows = stretch == number
+            its = _squares(at.by_error[:, rows]) + _squares(at.by_size[:, rows])
+            moved = np.linalg.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
         variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
         widened = np.sqrt(variance / np.diag(inverse))

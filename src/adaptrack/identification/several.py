@@ -48,26 +48,28 @@ def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
     agree: whether they do; those that do not are granted the scatter of their means as an error of their own (random
     effects; R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177-188).
     """
-    posteriors = [(each.z, each.covariance) for each in fits] if agree else _parted(fits)
+    posteriors = [(fit.z, fit.covariance) for fit in fits] if agree else _parted(fits)
     mean, information = _added(fits, posteriors)
-    return [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
+    return [_given(fit, *posterior, mean, information) for fit, posterior in zip(fits, posteriors, strict=True)]
 
 
 def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
     """Posteriors wider by the scatter of the logs' means."""
     means = np.full((len(fits), len(OF_THE_CAR)), np.nan)
-    for row, each in zip(means, fits, strict=True):
-        rows, places = _places(each.likelihood)
-        row[places] = each.z[each.likelihood.free][rows]
-    known = np.isfinite(means)
-    scatter = np.where(known, means - np.where(known, means, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 0.0)
-    between = (scatter**2).sum(axis=0) / np.maximum(known.sum(axis=0) - 1, 1)
+    for row, fit in zip(means, fits, strict=True):
+        rows, places = _places(fit.likelihood)
+        row[places] = fit.z[fit.likelihood.free][rows]
+    is_known = np.isfinite(means)
+    scatter = np.where(
+        is_known, means - np.where(is_known, means, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1), 0.0
+    )
+    between = (scatter**2).sum(axis=0) / np.maximum(is_known.sum(axis=0) - 1, 1)
     wider = []
-    for each in fits:
-        rows, places = _places(each.likelihood)
-        covariance = each.covariance.copy()
+    for fit in fits:
+        rows, places = _places(fit.likelihood)
+        covariance = fit.covariance.copy()
         covariance[rows, rows] += between[places]
-        wider.append((each.z, covariance))
+        wider.append((fit.z, covariance))
     return wider
 
 
@@ -81,12 +83,12 @@ def _places(likelihood: Likelihood) -> tuple[list[int], list[int]]:
 def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
     """Mean and information of `OF_THE_CAR` given all logs."""
     information, toward = np.eye(len(OF_THE_CAR)), np.zeros(len(OF_THE_CAR))
-    for each, (z, covariance) in zip(fits, posteriors, strict=True):
-        rows, places = _places(each.likelihood)
+    for fit, (z, covariance) in zip(fits, posteriors, strict=True):
+        rows, places = _places(fit.likelihood)
         precision = np.linalg.inv(covariance[np.ix_(rows, rows)])
         values, vectors = np.linalg.eigh(precision - np.eye(len(rows)))
         added = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        mean = z[each.likelihood.free][rows]
+        mean = z[fit.likelihood.free][rows]
         freed = np.linalg.pinv(added, hermitian=True) @ (precision @ mean)
         information[np.ix_(places, places)] += added
         toward[places] += added @ freed

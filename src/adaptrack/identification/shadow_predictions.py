@@ -67,8 +67,8 @@ class Observer:
         As `core.controllers.informed` lets a controller take it.
         """
         if self.learns:
-            left_out = int(kalman.memory_of(self.memory, 0).left_out)
-            kernel.learn(speed, measured, command, left_out, self.learning, self.known)
+            omitted = int(kalman.memory_of(self.memory, 0).left_out)
+            kernel.learn(speed, measured, command, omitted, self.learning, self.known)
             if not np.isfinite(self.beliefs).all():
                 self.known = self.learner.fresh()
             kernel.believe(self.learning, self.known, self.car, self.filter, self.memory)
@@ -93,33 +93,35 @@ def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Calla
     """
     n, period, steps = samples.time.size, mpc.period, {round(ahead / mpc.period): ahead for ahead in TIMES}
     start = np.arange(0, max(n - max(steps), 0), math.ceil(EVERY / period - 1e-6))
-    now = {"learned": ours[start], "first": first[start]}
-    z = {name: now["learned" if name in ("learned", "held") else "first"][:, :_N].copy() for name in PREDICTORS}
-    for name, each in now.items():
-        z[name][:, _STATE.side] += each[:, _N]  # what tyres pull less in the bend at hand
+    starts = {"learned": ours[start], "first": first[start]}
+    z = {name: starts["learned" if name in ("learned", "held") else "first"][:, :_N].copy() for name in PREDICTORS}
+    for name, observed in starts.items():
+        z[name][:, _STATE.side] += observed[:, _N]  # what tyres pull less in the bend at hand
     z["steady"][:, _STATE.offset] = 0.0
-    found = {(name, what, ahead): np.full(n, math.nan) for name in z for what in QUANTITIES for ahead in TIMES}
+    predictions = {
+        (name, quantity, ahead): np.full(n, math.nan) for name in z for quantity in QUANTITIES for ahead in TIMES
+    }
     for j in range(max(steps)):
         tell(0.5 + 0.5 * j / max(steps))
         k = start + j
-        for name, each in now.items():
-            _roll(z[name], samples, k, each, period)
+        for name, observed in starts.items():
+            _roll(z[name], samples, k, observed, period)
         _turn_steadily(z["steady"], samples.speed[k], z["first"][:, _STATE.wheel_angle], mpc.vehicle)
         for name in ("held", "steady"):
             _carry(z[name], samples, k, period)
         for name, state in z.items() if j + 1 in steps else ():
-            found[name, "yaw_rate", steps[j + 1]][k + 1] = state[:, _STATE.yaw_rate] + state[:, _STATE.offset]
-            found[name, "y", steps[j + 1]][k + 1] = state[:, _STATE.y] if samples.path is not None else math.nan
-    return found
+            predictions[name, "yaw_rate", steps[j + 1]][k + 1] = state[:, _STATE.yaw_rate] + state[:, _STATE.offset]
+            predictions[name, "y", steps[j + 1]][k + 1] = state[:, _STATE.y] if samples.path is not None else math.nan
+    return predictions
 
 
-def _roll(z: Array, samples: Samples, k: Places, now: Array, period: float) -> None:
+def _roll(z: Array, samples: Samples, k: Places, rows: Array, period: float) -> None:
     """Move states z (m, .) from the instants k (m,) on by a period, with the commands that act behind the dead time."""
     f, b, u = np.zeros((k.size, STATES, _N)), np.zeros((k.size, _N)), samples.command
     for i, speed in enumerate(samples.speed[k].tolist()):
-        discretise_disturbed(speed, period, now[i, _MODEL], f[i], b[i])
-    newer, share = k - now[:, _WHOLE].astype(np.int64), now[:, _SHARE]
-    command = (1.0 - share) * u[np.maximum(newer, 0)] + share * u[np.maximum(newer - 1, 0)] + now[:, _BIAS]
+        discretise_disturbed(speed, period, rows[i, _MODEL], f[i], b[i])
+    newer, share = k - rows[:, _WHOLE].astype(np.int64), rows[:, _SHARE]
+    command = (1.0 - share) * u[np.maximum(newer, 0)] + share * u[np.maximum(newer - 1, 0)] + rows[:, _BIAS]
     z[:, :STATES] = np.einsum("kij,kj->ki", f, z) + b[:, :STATES] * command[:, None]
     turned = samples.measured[k + 1, MEASURED.turned]
     z[:, _STATE.yaw] -= turned

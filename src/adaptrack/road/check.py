@@ -81,12 +81,12 @@ def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None)
     ):
         raise InvalidInput(f"check_road: speed = {speed!r} m/s: must be > 0.")
     places = _Places(road, speed)
-    found = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
+    findings = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
     if speed is not None:
-        found += [*_grip(places, car), *_steering_rate(places, car), *_domain(places, car)]
+        findings += [*_grip(places, car), *_steering_rate(places, car), *_domain(places, car)]
     if isinstance(speed, SpeedPlan):
-        found += [*_ripple(road, speed)]
-    return sorted(found, key=lambda each: (each.drivable, each.start))
+        findings += [*_ripple(road, speed)]
+    return sorted(findings, key=lambda finding: (finding.drivable, finding.start))
 
 
 class _Places:
@@ -200,16 +200,16 @@ def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
 def _domain(places: _Places, car: Vehicle) -> Iterator[Finding]:
     """Where a car is faster than its domain, and where that ends its plan because the road has no limit."""
     top = car.domain.speed[1]
-    beyond, held = places.speed > top * (1.0 + 1e-9), places.speed > top * (1.0 - 1e-9)
-    held &= ~beyond & places.planned & unlimited(places.road.along("speed_limit", places.s))
+    beyond, is_at_top = places.speed > top * (1.0 + 1e-9), places.speed > top * (1.0 - 1e-9)
+    is_at_top &= ~beyond & places.planned & unlimited(places.road.along("speed_limit", places.s))
     for stretch in places.stretches(beyond):
         fastest = float(places.speed[stretch].max())
         yield _finding(
             places, stretch, "domain", fastest, top, True,
             f"{fastest:.3g} m/s, beyond the domain of car {car.name!r}, which ends at {top:.3g} m/s",
         )  # fmt: skip
-    if held.any():
-        index = np.flatnonzero(held)
+    if is_at_top.any():
+        index = np.flatnonzero(is_at_top)
         yield _finding(
             places, slice(int(index[0]), int(index[-1]) + 1), "domain", top, top, True,
             f"the road has no speed limit: the plan ends at {top:.3g} m/s, with the domain of car {car.name!r}",
@@ -232,9 +232,9 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     felt = np.maximum(speed**2 * swing / allowed, 2.0 * speed**3 * swing / half / plan.comfort.lateral_jerk) > FELT
     small = swing * (half / math.pi) ** 2 < max(RIPPLE, 0.5 * road.deviation)
     rows = np.flatnonzero(small & felt & (speed < SLOWED * calm))
-    found = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= SWINGS]
-    if found:
-        rows = np.concatenate(found)
+    swings = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= SWINGS]
+    if swings:
+        rows = np.concatenate(swings)
         worst = rows[speed[rows].argmin()]
         yield Finding(
             "ripple", float(first[rows[0]]), float(s[turns[rows[-1] + 1]]), float(speed[worst]), float(calm[worst]),

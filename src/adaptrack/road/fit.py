@@ -298,8 +298,8 @@ def _outlier_notes(road: Road, points: Array, s: Array, outliers: NDArray[np.boo
 
 
 def _first_few(texts: list[str]) -> str:
-    rest = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
-    return ", ".join([*texts[:MOST_NAMED], *rest])
+    remainder = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
+    return ", ".join([*texts[:MOST_NAMED], *remainder])
 
 
 def _sort_by_arc_length(s: Array, values: Array, road: Road) -> tuple[Array, Array]:
@@ -364,11 +364,15 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
         return len(points), False, []
     count = len(points)
     if first.size:  # the point before the start
-        beside = (points[first] - points[0]) @ start / np.hypot(*start)
-        before = first[beside < -1e-3 * spacing]
+        advance = (points[first] - points[0]) @ start / np.hypot(*start)
+        before = first[advance < -1e-3 * spacing]
         count = int(before[-1]) + 1 if before.size else int(first[0])
-    rest = float(s[-1] - s[count - 1])
-    excess = [f"the record goes on for {rest:.0f} m beyond its start: left out"] if rest > 2.0 * near else []
+    remaining_length = float(s[-1] - s[count - 1])
+    excess = (
+        [f"the record goes on for {remaining_length:.0f} m beyond its start: left out"]
+        if remaining_length > 2.0 * near
+        else []
+    )
     return count, True, ["a closed lap", *excess]
 
 
@@ -416,10 +420,10 @@ def _cross_validated(record: _Record, robust: bool) -> tuple[_Estimate, NDArray[
         return estimate, outliers
     for _ in range(ROUNDS):
         distances, noise = _robust_distances(estimate, record, outliers)
-        far = distances > max(MAX_DEVIATION, NOISES * noise)
-        if (far == outliers).all() or far.mean() > SHARE:
+        is_outlier = distances > max(MAX_DEVIATION, NOISES * noise)
+        if (is_outlier == outliers).all() or is_outlier.mean() > SHARE:
             break
-        outliers = far
+        outliers = is_outlier
         estimate = _estimate(record.without(outliers))
     lonely = _isolated(outliers, *_robust_distances(estimate, record, outliers))
     return (estimate if (lonely == outliers).all() else _estimate(record.without(lonely))), lonely
@@ -457,9 +461,9 @@ def _isolated(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray
     rows = np.flatnonzero(out)
     for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
         if 0 < row.size <= IN_A_ROW:
-            beside = np.arange(max(row[0] - BESIDE, 0), min(row[-1] + BESIDE + 1, out.size))
-            beside = beside[~out[beside]]
-            lonely[row] = (distances[beside] <= MET * max(noise, MAX_DEVIATION / NOISES)).all()
+            neighbours = np.arange(max(row[0] - BESIDE, 0), min(row[-1] + BESIDE + 1, out.size))
+            neighbours = neighbours[~out[neighbours]]
+            lonely[row] = (distances[neighbours] <= MET * max(noise, MAX_DEVIATION / NOISES)).all()
     return lonely
 
 

@@ -133,14 +133,14 @@ def _random(kind: str, seed: int, attempt: int) -> np.random.Generator:
 
 def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
     """Straight lines and bends."""
-    made: list[Element] = [Line(length=_even(rng, kind.straight))]
-    driven, heading = made[0].length, 0.0
-    while driven < length:
+    elements: list[Element] = [Line(length=_even(rng, kind.straight))]
+    distance, heading = elements[0].length, 0.0
+    while distance < length:
         bend, angle = _next_bend(rng, kind, heading)
-        made += bend
-        driven += sum(each.length for each in bend)
+        elements += bend
+        distance += sum(element.length for element in bend)
         heading += angle
-    return made
+    return elements
 
 
 def _next_bend(rng: np.random.Generator, kind: Kind, heading: float) -> tuple[list[Element], float]:
@@ -191,7 +191,7 @@ class _Part(NamedTuple):
 class _Growing:
     """An open road while it grows."""
 
-    apart: float
+    clearance: float
     """m, by which parts that are not neighbours keep off each other"""
     parts: list[_Part] = field(default_factory=list)
     length: float = 0.0
@@ -204,37 +204,37 @@ class _Growing:
     def accepts(self, elements: list[Element]) -> bool:
         """Add a bend if it keeps off the road, itself included; tell whether it did."""
         part = self._laid(elements)
-        low, high = part.points.min(axis=0) - self.apart, part.points.max(axis=0) + self.apart
+        low, high = part.points.min(axis=0) - self.clearance, part.points.max(axis=0) + self.clearance
         for other in [*self.parts, part]:
             if (other.points.min(axis=0) > high).any() or (other.points.max(axis=0) < low).any():
                 continue
-            apart = np.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
+            distances = np.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
             along = np.abs(part.s[:, np.newaxis] - other.s)
-            if ((apart <= self.apart) & (along > _neighbours(self.apart))).any():
+            if ((distances <= self.clearance) & (along > _neighbours(self.clearance))).any():
                 return False
         self.parts.append(part)
-        self.length += sum(each.length for each in elements)
+        self.length += sum(element.length for element in elements)
         return True
 
     def give_up(self, count: int) -> None:
         """Take the last bends away, never the first line."""
         for part in self.parts[max(1, len(self.parts) - count) :]:
-            self.length -= sum(each.length for each in part.elements)
+            self.length -= sum(element.length for element in part.elements)
         del self.parts[max(1, len(self.parts) - count) :]
 
     def _laid(self, elements: list[Element]) -> _Part:
-        here, begun, s, points = self.end, self.length, [], []
+        pose, begun, s, points = self.end, self.length, [], []
         for element in elements:
-            places = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.apart)) + 1)
+            places = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.clearance)) + 1)
             first, last = element.curvatures
             line = heading_integral(first, (last - first) / element.length, places)
-            line = here.x + 1j * here.y + np.exp(1j * here.heading) * line
+            line = pose.x + 1j * pose.y + np.exp(1j * pose.heading) * line
             s.append(begun + places)
             points.append(np.stack([line.real, line.imag], axis=-1))
             turn = 0.5 * (first + last) * element.length
-            here = Pose(float(line[-1].real), float(line[-1].imag), here.heading + turn)
+            pose = Pose(float(line[-1].real), float(line[-1].imag), pose.heading + turn)
             begun += element.length
-        return _Part(elements, np.concatenate(s), np.concatenate(points), here)
+        return _Part(elements, np.concatenate(s), np.concatenate(points), pose)
 
 
 def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
@@ -243,7 +243,7 @@ def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
     Each weave turns to one side and back, twice as far to the other side and back; the hairpin is what turns the half.
     """
     half: list[Element] = [Line(length=_even(rng, kind.straight))]
-    while sum(each.length for each in half) < 0.5 * length - 150.0:
+    while sum(element.length for element in half) < 0.5 * length - 150.0:
         angle = float(rng.uniform(*kind.angle)) * (1.0 if rng.random() < 0.5 else -1.0)
         radius = _even(rng, kind.radius)
         for turn in (angle, -2.0 * angle, angle):
@@ -258,10 +258,10 @@ def _bend(kind: Kind, angle: float, radius: float) -> list[Element]:
     length = min(max(v**3 / (radius * kind.jerk), radius / 9.0), radius)
     length = min(length, radius * abs(angle))
     curvature = math.copysign(1.0 / radius, angle)
-    rest = abs(angle) * radius - length
+    arc_length = abs(angle) * radius - length
     into = Clothoid(length=length, start_curvature=0.0, end_curvature=curvature)
     out = Clothoid(length=length, start_curvature=curvature, end_curvature=0.0)
-    return [into, Arc(length=rest, curvature=curvature), out] if rest > 1e-6 * radius else [into, out]
+    return [into, Arc(length=arc_length, curvature=curvature), out] if arc_length > 1e-6 * radius else [into, out]
 
 
 def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
@@ -269,20 +269,20 @@ def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
     return float(np.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
 
 
-def _touches_itself(road: Road, apart: float) -> bool:
-    """Whether two places that are no neighbours are nearer than `apart` (m)."""
+def _touches_itself(road: Road, clearance: float) -> bool:
+    """Whether two places that are no neighbours are nearer than `clearance` (m)."""
     from scipy.spatial import cKDTree
 
-    step = 0.25 * apart
+    step = 0.25 * clearance
     s = np.arange(0.0, road.length, step)
     points = road.at(s)
-    pairs = cKDTree(np.stack([points.x, points.y], axis=-1)).query_pairs(apart, output_type="ndarray")
+    pairs = cKDTree(np.stack([points.x, points.y], axis=-1)).query_pairs(clearance, output_type="ndarray")
     along = np.abs(s[pairs[:, 0]] - s[pairs[:, 1]])
     if road.closed:
         along = np.minimum(along, road.length - along)
-    return bool((along > _neighbours(apart)).any())
+    return bool((along > _neighbours(clearance)).any())
 
 
-def _neighbours(apart: float) -> float:
-    """m along the road, up to which places may be nearer than `apart`: four times that, a half turn and more."""
-    return max(4.0 * apart, 0.5 * math.pi * apart + 1.0)
+def _neighbours(clearance: float) -> float:
+    """m along the road, up to which places may be nearer than `clearance`: four times that, a half turn and more."""
+    return max(4.0 * clearance, 0.5 * math.pi * clearance + 1.0)

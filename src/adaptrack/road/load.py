@@ -61,10 +61,10 @@ def _made(file: RoadFile, values: dict[str, Any]) -> Road:
         return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
     closed = bool(file.closed)
     if file.elements:
-        made = Road.from_segments(file.elements, closed=closed, **values)
+        road = Road.from_segments(file.elements, closed=closed, **values)
     else:
-        made = Road(table=table_of(file.pieces or ()), closed=closed, **alongs(values))
-    return made.replace(notes=file.notes, deviation=file.deviation)
+        road = Road(table=table_of(file.pieces or ()), closed=closed, **alongs(values))
+    return road.replace(notes=file.notes, deviation=file.deviation)
 
 
 _READERS: dict[str, Callable[..., Road]] = {
@@ -102,8 +102,8 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     text = os.fspath(name_or_path)
     ending = os.path.splitext(text)[1].lower()
     if ending not in _READERS and text not in KINDS:
-        known = did_you_mean(text, KINDS)
-        raise UnknownName(f"no road is named {text!r}. {known} A file ends in {', '.join(_READERS)}.")
+        suggestion = did_you_mean(text, KINDS)
+        raise UnknownName(f"no road is named {text!r}. {suggestion} A file ends in {', '.join(_READERS)}.")
     read: Callable[..., Road] = _READERS.get(ending, generate_road)
     for name in options:
         _check_option(text, name, read)

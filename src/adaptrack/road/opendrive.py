@@ -121,20 +121,20 @@ def _root(where: str, content: bytes) -> Element:
     return root
 
 
-def _road(where: str, root: Element, wanted: str | int | None) -> Element:
+def _road(where: str, root: Element, road_id: str | int | None) -> Element:
     roads = {str(element.get("id")): element for element in root.findall("road")}
     if not roads:
         raise ConfigError(f"{where}: there is no <road> in it.")
-    if wanted is None:
+    if road_id is None:
         if len(roads) > 1:
             stated = {name: _stated_length(element) for name, element in roads.items()}
             longest = sorted(stated, key=lambda name: -stated[name])[:8]
-            named = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
-            raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {named}.")
+            examples = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
+            raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {examples}.")
         return next(iter(roads.values()))
-    if str(wanted) not in roads:
-        raise ConfigError(f"{where}: no road has the id {str(wanted)!r}. {did_you_mean(str(wanted), roads)}")
-    return roads[str(wanted)]
+    if str(road_id) not in roads:
+        raise ConfigError(f"{where}: no road has the id {str(road_id)!r}. {did_you_mean(str(road_id), roads)}")
+    return roads[str(road_id)]
 
 
 def _stated_length(element: Element) -> float:
@@ -232,8 +232,8 @@ def _meets_itself(table: Pieces, gap: float = GAP) -> bool:
     """Whether the line ends within `gap` (m) of its start, in the same direction."""
     first, last = table.at(0.0), table.at(table.length)
     turn = float(last.heading - first.heading) / (2.0 * math.pi)
-    apart = math.hypot(float(last.x - first.x), float(last.y - first.y))
-    return apart <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
+    distance = math.hypot(float(last.x - first.x), float(last.y - first.y))
+    return distance <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
 
 
 # -- shapes -----------------------------------------------------------------------------------------------------------
@@ -241,9 +241,9 @@ def _segment(where: str, shape: Element) -> Segment:
     length = number_of(where, shape, "length")
     kind = next((child for child in shape if child.tag in _READERS), None)
     if kind is None:
-        found = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
+        tags = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
         raise ConfigError(
-            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(found)}; known: {', '.join(_READERS)}."
+            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(tags)}; known: {', '.join(_READERS)}."
         )
     return _READERS[kind.tag](where, kind, length)
 

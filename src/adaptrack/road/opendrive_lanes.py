@@ -148,9 +148,9 @@ class Lanes:
             lanes = {int(number_of(self._where, lane, "id")): self._lane(lane, s) for lane in section.iter("lane")}
             single = section.get("singleSide", "false").lower() in ("true", "1")
             for side, sign in zip(sides, (1, -1), strict=True):
-                beside_ = {number: lane for number, lane in lanes.items() if number * sign > 0}
-                if beside_ or not single:
-                    side[start] = beside_
+                side_lanes = {number: lane for number, lane in lanes.items() if number * sign > 0}
+                if side_lanes or not single:
+                    side[start] = side_lanes
         left, right = (
             [
                 _Stretch(start, end, lanes)

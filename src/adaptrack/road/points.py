@@ -85,10 +85,10 @@ def road_from_csv(path: str | os.PathLike[str], *, speed_column: str | None = No
     try:
         road = fit_road(table.points, **({"name": Path(path).stem, **table.along} | options))
     except InvalidInput as error:
-        message = re.sub(r"point (\d+)", lambda found: f"line {table.lines[int(found[1])]}", str(error))
+        message = re.sub(r"point (\d+)", lambda match: f"line {table.lines[int(match[1])]}", str(error))
         raise ConfigError(f"{os.fspath(path)}: {message.removeprefix('fit_road: ')}") from None
     notes = [
-        re.sub(r"at point (\d+)", lambda found: f"in line {table.lines[int(found[1])]}", text) for text in road.notes
+        re.sub(r"at point (\d+)", lambda match: f"in line {table.lines[int(match[1])]}", text) for text in road.notes
     ]
     return road.replace(notes=(*notes, *table.notes))
 
@@ -122,7 +122,9 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     for k, (line, cells) in enumerate(rows):
         if len(cells) != len(names):
             raise ConfigError(f"{where}, line {line}: {len(cells)} columns, where {len(names)} are expected.")
-        numbers[k] = [_number(where, line, cell, wanted=bool(name)) for cell, name in zip(cells, names, strict=True)]
+        numbers[k] = [
+            _number(where, line, cell, is_required=bool(name)) for cell, name in zip(cells, names, strict=True)
+        ]
     columns = {name: numbers[:, k] for k, name in enumerate(names) if name}
     if speed_column is not None:
         _check_speeds(where, speed_column, columns["speed_limit"], [line for line, _ in rows])
@@ -131,7 +133,7 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     return PointsFile(
         points[moved],
         {name: values[moved] for name, values in columns.items()},
-        tuple(line for (line, _), kept in zip(rows, moved, strict=True) if kept),
+        tuple(line for (line, _), is_kept in zip(rows, moved, strict=True) if is_kept),
         _notes(header.titles, names, int((~moved).sum())),
     )
 
@@ -144,9 +146,9 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 
 def _notes(titles: Sequence[str], names: Sequence[str], repeated: int) -> tuple[str, ...]:
-    left_out = [title for title, name in zip(titles, names, strict=False) if not name]
-    said = [f"columns left out: {printable(', '.join(left_out))}"] if left_out else []
-    return (*said, f"{repeated} repeated points left out") if repeated else tuple(said)
+    omitted = [title for title, name in zip(titles, names, strict=False) if not name]
+    notes = [f"columns left out: {printable(', '.join(omitted))}"] if omitted else []
+    return (*notes, f"{repeated} repeated points left out") if repeated else tuple(notes)
 
 
 def _split(where: str, text: str) -> tuple[_Header, list[tuple[int, list[str]]]]:
@@ -267,8 +269,8 @@ def _check_speeds(where: str, column: str, speeds: Array, lines: Sequence[int]) 
         )
 
 
-def _number(where: str, line: int, cell: str, wanted: bool) -> float:
-    if not wanted:
+def _number(where: str, line: int, cell: str, is_required: bool) -> float:
+    if not is_required:
         return 0.0
     if not _is_number(cell) or not math.isfinite(float(cell.replace(",", "."))):
         raise ConfigError(

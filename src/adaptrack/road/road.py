@@ -124,11 +124,11 @@ class Road:
         turn = first.heading[after] - last.heading
         kink = np.abs(turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi)))
         gap = np.hypot(first.x[after] - last.x, first.y[after] - last.y)
-        for wrong, what, unit in ((gap > GAP, gap, "m apart"), (kink > KINK, kink, "rad of kink")):
-            for k in np.flatnonzero(wrong[:count])[:1]:
+        for is_broken, size, unit in ((gap > GAP, gap, "m apart"), (kink > KINK, kink, "rad of kink")):
+            for k in np.flatnonzero(is_broken[:count])[:1]:
                 where = "the end and the start" if k == after.size - 1 else f"s = {self.table.start[k + 1]:.2f} m"
                 raise InvalidInput(
-                    f"road {self.name!r}: {what[k]:.3g} {unit} at {where}; the centre line must be one curve without "
+                    f"road {self.name!r}: {size[k]:.3g} {unit} at {where}; the centre line must be one curve without "
                     "kinks. Correct the elements, or fit a road to sampled points with fit_road."
                 )
 
@@ -248,8 +248,8 @@ class Road:
         first, last = self.table.ends()
         after = np.roll(first.curvature, -1)
         count = after.size if self.closed else after.size - 1
-        found = np.flatnonzero(np.abs(after - last.curvature)[:count] > least)
-        return [Jump(float(self.table.start[k + 1]), float(last.curvature[k]), float(after[k])) for k in found]
+        jumps = np.flatnonzero(np.abs(after - last.curvature)[:count] > least)
+        return [Jump(float(self.table.start[k + 1]), float(last.curvature[k]), float(after[k])) for k in jumps]
 
     def project(self, x: ArrayLike, y: ArrayLike, near: ArrayLike | None = None) -> Projection:
         """The feet of points on the centre line.
@@ -273,12 +273,14 @@ class Road:
         InvalidInput
             When a coordinate is not a finite number, shapes do not fit, or there is no foot within 400 m of `near`.
         """
-        given = [reals("Road.project: a coordinate", each) for each in (x, y, np.nan if near is None else near)]
+        coordinates = [
+            reals("Road.project: a coordinate", coordinate) for coordinate in (x, y, np.nan if near is None else near)
+        ]
         try:
-            wanted = np.broadcast_arrays(*given)
+            columns = np.broadcast_arrays(*coordinates)
         except ValueError:
             raise InvalidInput("Road.project: x, y and near must have one shape.") from None
-        rows = np.stack([each.ravel() for each in wanted], axis=-1)
+        rows = np.stack([column.ravel() for column in columns], axis=-1)
         if not np.isfinite(rows[:, : 2 if near is None else 3]).all():
             raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
         feet = np.empty((len(rows), 4))
@@ -289,7 +291,7 @@ class Road:
                 f"Road.project: the point ({px:.6g}, {py:.6g}) has no foot within {kernel.REACH:g} m of near = {s:.6g} "
                 "m along the road. Give the arc length of its last foot, or leave near out."
             )
-        shape = wanted[0].shape
+        shape = columns[0].shape
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
     def packed(self) -> Any:

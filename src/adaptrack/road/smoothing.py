@@ -91,8 +91,8 @@ class Smoother:
         n = len(self.points)
         probes = max(2, round(PROBES / n))
         signs = np.random.default_rng(1).choice([-1.0, 1.0], (n, probes))
-        found = basis @ scipy.linalg.cho_solve_banded((factor, False), basis.T @ signs)
-        return float((signs * found).sum() / probes)
+        solution = basis @ scipy.linalg.cho_solve_banded((factor, False), basis.T @ signs)
+        return float((signs * solution).sum() / probes)
 
 
 class _System:
@@ -126,13 +126,13 @@ class _System:
     def _squared(self, columns: NDArray[np.int64], values: Array) -> Array:
         """A^T A of a matrix with four entries in each row, as the upper bands that LAPACK reads."""
         bands = np.zeros((self._width + 1) * self.size)
-        for one in range(4):
+        for row in range(4):
             for other in range(4):
-                i, j = columns[:, one], columns[:, other]
+                i, j = columns[:, row], columns[:, other]
                 upper = i <= j
                 place = (self._width - (j - i)) * self.size + j
-                found = values[:, one] * values[:, other]
-                bands += np.bincount(place[upper], weights=found[upper], minlength=bands.size)
+                products = values[:, row] * values[:, other]
+                bands += np.bincount(place[upper], weights=products[upper], minlength=bands.size)
         return bands.reshape(self._width + 1, self.size)
 
     def factor(self, weight: float) -> Array:

@@ -124,10 +124,10 @@ class SpeedPlan:
     @property
     def shares(self) -> dict[Limit, float]:
         """Which share of the road each limit binds, the largest first."""
-        found: dict[Limit, float] = {}
-        for each in self.stretches:
-            found[each.limit] = found.get(each.limit, 0.0) + (each.end - each.start) / float(self.s[-1])
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        shares: dict[Limit, float] = {}
+        for stretch in self.stretches:
+            shares[stretch.limit] = shares.get(stretch.limit, 0.0) + (stretch.end - stretch.start) / float(self.s[-1])
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
     @property
     def stops(self) -> list[Stop]:
@@ -148,10 +148,10 @@ class SpeedPlan:
     def at(self, s: ArrayLike) -> Array:
         """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
         place = reals("SpeedPlan.at: s", s)
-        found = place.flatten()
+        values = place.flatten()
         s, speed = np.ascontiguousarray(self.s), np.ascontiguousarray(self.speed)
-        plan_kernel.planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, found)
-        return np.asarray(found.reshape(place.shape)[()])
+        plan_kernel.planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, values)
+        return np.asarray(values.reshape(place.shape)[()])
 
     def motion(self, time: ArrayLike) -> tuple[Array, Array]:
         """Station (m) and speed (m/s) at times (s) from the start: lap after lap, or at the end of an open road."""
@@ -162,7 +162,7 @@ class SpeedPlan:
 
     def packed(self) -> Any:
         """The plan as the record that `adaptrack.core` reads; read-only."""
-        rows = (np.ascontiguousarray(each) for each in (self.s, self.speed, self.time))
+        rows = (np.ascontiguousarray(column) for column in (self.s, self.speed, self.time))
         return plan_kernel.SpeedPlan(*rows, self.duration, int(self.closed))
 
 
@@ -290,9 +290,9 @@ def _with_cells(planning: Any, car: Vehicle | None, holds: HoldableSpeed | None)
         table[PLAN.cornering] = cornering_limit(car, curvature, friction)
     if holds is None:
         return planning
-    held_at, held = holds.along(curvature, bank, friction)
-    table[PLAN.margins] = highest(held_at, held)
-    return planning._replace(held_at=held_at, held=np.ascontiguousarray(held))
+    held_at, deceleration = holds.along(curvature, bank, friction)
+    table[PLAN.margins] = highest(held_at, deceleration)
+    return planning._replace(held_at=held_at, held=np.ascontiguousarray(deceleration))
 
 
 def _refuse(planning: Any, status: int, k: int, value: float) -> None:
@@ -310,8 +310,8 @@ def _refuse(planning: Any, status: int, k: int, value: float) -> None:
         )
     if status in (kernel.START_TOO_FAST, kernel.END_TOO_FAST):
         name = "start" if status == kernel.START_TOO_FAST else "end"
-        wanted = getattr(planning.bounds, name)
-        raise InvalidInput(f"plan_speed: {name} = {wanted!r} m/s: must be at most {value:.4g} there.")
+        bound = getattr(planning.bounds, name)
+        raise InvalidInput(f"plan_speed: {name} = {bound!r} m/s: must be at most {value:.4g} there.")
     if status == kernel.CANNOT_BRAKE:
         raise InvalidInput(
             f"plan_speed: start = {planning.bounds.start:g} m/s: a car cannot brake in time; start at {value:.4g} m/s "
@@ -358,9 +358,9 @@ def _soften(planning: Any, closed: bool) -> None:
     low = np.zeros(n)
     low[0] = 0.0 if math.isnan(start) else fastest[0] * (1.0 - 1e-9)
     below, most, ends = sparse.vstack(rows), np.concatenate(bounds), np.stack([low, fastest], axis=-1)
-    found = scipy.optimize.linprog(-worth, A_ub=below, b_ub=most, bounds=ends, method="highs")
-    if found.x is None:
+    solution = scipy.optimize.linprog(-worth, A_ub=below, b_ub=most, bounds=ends, method="highs")
+    if solution.x is None:
         raise InvalidInput(
             f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."
         )
-    fastest[:] = np.minimum(found.x, fastest)
+    fastest[:] = np.minimum(solution.x, fastest)

@@ -59,8 +59,8 @@ class Pieces(NamedTuple):
 
     def ends(self) -> tuple[Points, Points]:
         """The points at the start and at the end of every piece."""
-        one = np.ones(len(self.pieces))
-        return of_pieces(self.pieces, -one), of_pieces(self.pieces, one)
+        ones = np.ones(len(self.pieces))
+        return of_pieces(self.pieces, -ones), of_pieces(self.pieces, ones)
 
 
 def of_pieces(piece: Array, u: Array) -> Points:
@@ -199,23 +199,23 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     start = np.concatenate([[0.0], np.cumsum(lengths)])
     turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
-    whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
-    pieces[1:, HEADING] -= 2.0 * np.pi * whole
+    full_turns = np.cumsum(np.round(gaps / (2.0 * np.pi)))
+    pieces[1:, HEADING] -= 2.0 * np.pi * full_turns
     return Pieces(start, pieces)
 
 
 def sequence(tables: Sequence[Pieces], start: Pose, poses: Sequence[Pose | None] | None = None) -> Pieces:
     """Tables in their own frames, laid end to end from a pose; one with a pose in `poses` has its origin there."""
-    laid, here = [], start
+    laid, pose = [], start
     for k, table in enumerate(tables):
         first, last = (Pose(*(float(value) for value in point[:3])) for point in _both_ends(table))
-        turn = here.heading - first.heading
+        turn = pose.heading - first.heading
         x, y = _turned(first, turn)
-        origin = (poses[k] if poses else None) or Pose(here.x - x, here.y - y, turn)
+        origin = (poses[k] if poses else None) or Pose(pose.x - x, pose.y - y, turn)
         turn = origin.heading
         laid.append(placed(table, origin))
         x, y = _turned(last, turn)
-        here = Pose(origin.x + x, origin.y + y, turn + last.heading)
+        pose = Pose(origin.x + x, origin.y + y, turn + last.heading)
     return joined(laid)
 
 

@@ -89,19 +89,19 @@ class RoadFile(Record):
 
     @model_validator(mode="after")
     def _says_one_line(self) -> Self:
-        given = [name for name in ("elements", "points", "pieces") if getattr(self, name)]
-        if len(given) != 1:
-            stated = " and ".join(given) or "neither elements nor points"
+        line_kinds = [name for name in ("elements", "points", "pieces") if getattr(self, name)]
+        if len(line_kinds) != 1:
+            stated = " and ".join(line_kinds) or "neither elements nor points"
             raise ValueError(f"{stated}: give the centre line once, as [[elements]] or as points.")
         if self.max_deviation is not None and self.points is None:
             raise ValueError("max_deviation is for points; remove it.")
         return self
 
 
-def table_of(found: Sequence[Piece]) -> Pieces:
+def table_of(road_pieces: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
-    pieces = np.zeros((len(found), COLUMNS))
-    for row, piece in zip(pieces, found, strict=True):
+    pieces = np.zeros((len(road_pieces), COLUMNS))
+    for row, piece in zip(pieces, road_pieces, strict=True):
         row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])

@@ -152,13 +152,13 @@ class _Drive:
         rng = self.random(_FRICTION)
         if rng.random() < DRY_SHARE:
             low = high - 0.3 * (high - low)
-        now = _between(rng, low, high)
-        terms: list[Shape] = [Constant(value=now)]
+        level = _between(rng, low, high)
+        terms: list[Shape] = [Constant(value=level)]
         start = _between(rng, 2.0, 14.0)
         while start < self.duration:
             then = _between(rng, low, high)
-            terms.append(Step(after=round(then - now, 6), time=start))
-            now, start = then, round(start + _between(rng, 4.0, 16.0), 2)
+            terms.append(Step(after=round(then - level, 6), time=start))
+            level, start = then, round(start + _between(rng, 4.0, 16.0), 2)
         steps = Sum(terms=tuple(terms))
         self.friction[:] = steps.at(self.t)
         return steps
@@ -166,15 +166,15 @@ class _Drive:
     def draw_speed(self, low: float, high: float) -> Shape:
         """Level stretches, joined by cubics."""
         rng = self.random(_SPEED)
-        now = _between(rng, low, high)
-        t, start, points = 0.0, _between(rng, 1.0, 6.0), [(0.0, now)]
+        speed = _between(rng, low, high)
+        t, start, points = 0.0, _between(rng, 1.0, 6.0), [(0.0, speed)]
         while start < self.duration:
             then, strength = _between(rng, low, high), rng.uniform(0.5, 1.0)
-            most = strength * (TRACTION if then > now else BRAKING)
-            t = round(start + _shortest(self.speed_time, 2.0, math.inf, start, abs(then - now), most), 2)
-            points += [(start, now), (t, then)]
-            now, start = then, round(t + _between(rng, 1.0, 6.0), 2)
-        curve = Knots(points=(*points, (t + 1.0, now)), method="pchip")
+            most = strength * (TRACTION if then > speed else BRAKING)
+            t = round(start + _shortest(self.speed_time, 2.0, math.inf, start, abs(then - speed), most), 2)
+            points += [(start, speed), (t, then)]
+            speed, start = then, round(t + _between(rng, 1.0, 6.0), 2)
+        curve = Knots(points=(*points, (t + 1.0, speed)), method="pchip")
         self.speed[:] = curve.at(self.t)
         return curve
 
@@ -258,6 +258,6 @@ def _shortest(needed: Callable[..., float], least: float, most: float, *argument
     What is ``needed(time, *arguments)`` grows with the time, for a longer manoeuvre meets lower friction.
     """
     span = least
-    while span <= most and (wanted := needed(span, *arguments)) > span:
-        span = math.ceil(100.0 * wanted) / 100.0 if wanted < most else math.inf
+    while span <= most and (needed_span := needed(span, *arguments)) > span:
+        span = math.ceil(100.0 * needed_span) / 100.0 if needed_span < most else math.inf
     return span

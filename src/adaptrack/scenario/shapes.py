@@ -56,8 +56,8 @@ class Shape(Record):
     def table(self) -> Any:
         """The shape as a scenario file holds it; `as_shape` reads it back."""
         fields = type(self).model_fields
-        given = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
-        return {"shape": self.kind} | {name: _lists(value) for name, value in given.items()}
+        entries = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
+        return {"shape": self.kind} | {name: _lists(value) for name, value in entries.items()}
 
     def __add__(self, other: Shape | float) -> Sum:
         return Sum(terms=(self, as_shape(other)))
@@ -82,7 +82,7 @@ def as_shape(value: Any) -> Shape:
         raise InvalidInput(f"the table has no key 'shape'; give one of {', '.join(map(repr, SHAPES))}.")
     if kind not in SHAPES:
         raise UnknownName(f"unknown shape {kind!r}. {did_you_mean(str(kind), SHAPES)}")
-    return build(SHAPES[kind], {key: each for key, each in value.items() if key != "shape"}, f"shape {kind!r}")
+    return build(SHAPES[kind], {key: entry for key, entry in value.items() if key != "shape"}, f"shape {kind!r}")
 
 
 Signal = Annotated[Shape, BeforeValidator(as_shape)]
@@ -93,7 +93,7 @@ def as_tuples(value: Any) -> Any:
     """Lists and arrays as tuples, all the way down: what a frozen record holds."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
-    return tuple(as_tuples(each) for each in value) if isinstance(value, list | tuple) else value
+    return tuple(as_tuples(element) for element in value) if isinstance(value, list | tuple) else value
 
 
 class Constant(Shape):
@@ -282,7 +282,7 @@ class Gust(Shape):
 def _as_terms(value: Any) -> Any:
     if not isinstance(value, list | tuple):
         raise InvalidInput("give a list of shapes.")
-    return tuple(as_shape(each) for each in value)
+    return tuple(as_shape(term) for term in value)
 
 
 class Sum(Shape):
@@ -321,7 +321,7 @@ def _product(factor: float, value: float) -> float:
 
 
 def _lists(value: Any) -> Any:
-    return [_lists(each) for each in value] if isinstance(value, tuple) else value
+    return [_lists(element) for element in value] if isinstance(value, tuple) else value
 
 
 def _natural_slopes(step: Array, secant: Array) -> Array:

@@ -73,10 +73,10 @@ class Signals:
         self._refuse(self.friction > HIGHEST_FRICTION, "friction", "must be a coefficient such as 0.8, at most 3")
         self._refuse(np.abs(self.bank) > STEEPEST_BANK, "bank", f"must be within +-{STEEPEST_BANK} rad")
 
-    def _refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
+    def _refuse(self, violations: np.ndarray, name: str, rule: str) -> None:
         """Raise for the first sample that is `wrong`."""
-        if wrong.any():
-            first = tuple(np.argwhere(wrong)[0])
+        if violations.any():
+            first = tuple(np.argwhere(violations)[0])
             value = float(getattr(self, name)[first])
             where = f"sample {first[0]}" if name == "t" else f"t = {float(self.t[first[0]]):g} s"
             raise InvalidInput(f"{name} is {value!r} at {where}: {rule}.")
