@@ -16,8 +16,8 @@ from numpy.testing import assert_array_equal
 
 import adaptrack as at
 from adaptrack.base import checked as checks
-from adaptrack.base.checked import real, reals, whole
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.checked import real, reals, whole_number
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.road import Line, Road, fit_road, road_through
 
 CAR = at.load_vehicle("compact-ev")
@@ -119,7 +119,7 @@ def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence()
         for given in (*NO_NUMBERS, *TOO_LARGE):
             assert len(refusal(call, given)) < 400, name
     for given in (None, *NO_NUMBERS, -(10**5000), 1.5):
-        refusal(whole, "here", "n", given)
+        refusal(whole_number, "here", "n", given)
 
 
 def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite() -> None:
@@ -151,7 +151,7 @@ def test_a_value_in_a_message_is_short_whatever_it_is() -> None:
         def __repr__(self) -> str:
             raise RuntimeError
 
-    assert shown("a") == "'a'"
-    assert shown(10**5000) == "<int>"
-    assert shown(Broken()) == "<Broken>"
-    assert len(shown(list(range(1000)))) <= 80
+    assert format_value("a") == "'a'"
+    assert format_value(10**5000) == "<int>"
+    assert format_value(Broken()) == "<Broken>"
+    assert len(format_value(list(range(1000)))) <= 80

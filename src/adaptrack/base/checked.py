@@ -18,7 +18,7 @@ mark: the argument must be an object of one of its classes.
 
 A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
 `Limit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
-whatever runs once a control period, by `real`, `whole` and `reals`.
+whatever runs once a control period, by `real`, `whole_number` and `reals`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, Valida
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.base.limits import Limit
 
 Array = NDArray[np.float64]
@@ -181,29 +181,29 @@ class _Argument(NamedTuple):
         metadata = [*field.metadata, *_metadata(_without_none(self.annotation))]
         unit = next((f" {note}" for note in metadata if isinstance(note, str) and _is_number(value)), "")
         if details["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
-            return f"{name} = {shown(value)}{unit}: {details['ctx']['error']}"
+            return f"{name} = {format_value(value)}{unit}: {details['ctx']['error']}"
         must = _classes_in_words(annotation) or _container(field) or allowed(field)
         must = must or details["msg"].removeprefix("Input should be ")
         none = " or None" if type(None) in _parts(annotation) else ""
         hint = next((f"; {note.text}" for note in metadata if isinstance(note, Hint)), "")
-        return f"{name} = {shown(value)}{unit}: must be {must}{none}{hint}."
+        return f"{name} = {format_value(value)}{unit}: must be {must}{none}{hint}."
 
 
 # -- by hand: what runs once a control period, rows and tables ---------------------------------------------------------
 def real(where: str, name: str, value: object) -> float:
     """`value` as a float; `InvalidInput` unless it is a number that one holds (truth values and text are none)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a number.")
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number.")
     try:
         return float(value)
     except OverflowError:
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be finite, it is too large.") from None
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be finite, it is too large.") from None
 
 
-def whole(where: str, name: str, value: object, least: int = 1) -> int:
+def whole_number(where: str, name: str, value: object, least: int = 1) -> int:
     """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a whole number, at least {least}.")
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a whole number, at least {least}.")
     return int(value)
 
 
@@ -228,7 +228,7 @@ def reals(name: str, values: Any) -> Array:
     if array.dtype is FLOAT and isinstance(values, tuple | list | float):
         return array
     if array.dtype.kind not in "iuf":
-        raise InvalidInput(f"{name} = {shown(values)}: must be real numbers.")
+        raise InvalidInput(f"{name} = {format_value(values)}: must be real numbers.")
     with np.errstate(over="ignore"):  # wider than float64
         row = array.astype(np.float64)
     if isinstance(values, np.ma.MaskedArray):

@@ -40,7 +40,7 @@ class StorageError(AdaptrackError, OSError):
     """A file that cannot be read or written; nothing half-written is left behind."""
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """A value in a message: its ``repr``, of a long one the beginning and the end, whatever the value is."""
     try:
         text = repr(value)

@@ -28,7 +28,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, fi
 from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, shown
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, format_value
 from adaptrack.base.text import printable as printable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -94,16 +94,18 @@ def check_texts(where: str, data: Any) -> None:
     while waiting:  # not recursive: the depth is what is to be found
         key, value, depth = waiting.pop()
         if depth > _DEEPEST:
-            raise ConfigError(f"{where}: {shown(key)}: more than {_DEEPEST} tables in one another; flatten them.")
+            raise ConfigError(
+                f"{where}: {format_value(key)}: more than {_DEEPEST} tables in one another; flatten them."
+            )
         if isinstance(value, Mapping):
             for name, inner in value.items():
                 if isinstance(name, str) and not is_text(name):
-                    raise ConfigError(f"{where}: key {shown(name)}: holds a NUL or half a character; rename it.")
+                    raise ConfigError(f"{where}: key {format_value(name)}: holds a NUL or half a character; rename it.")
                 waiting.append((f"{key}.{name}" if key else str(name), inner, depth + 1))
         elif isinstance(value, list | tuple):
             waiting += [(f"{key}[{i}]", inner, depth + 1) for i, inner in enumerate(value)]
         elif isinstance(value, str) and not is_text(value):
-            raise ConfigError(f"{where}: {key} = {shown(value)}: holds a NUL or half a character; remove it.")
+            raise ConfigError(f"{where}: {key} = {format_value(value)}: holds a NUL or half a character; remove it.")
 
 
 # -- configurations ---------------------------------------------------------------------------------------------------
@@ -269,7 +271,7 @@ def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.Pat
         With all problems of `data`, each with its key, the value found and what is allowed.
     """
     if not isinstance(data, Mapping):
-        raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {shown(data)}.")
+        raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {format_value(data)}.")
     try:
         return model_class.model_validate(dict(data))
     except ValidationError as error:
@@ -529,9 +531,11 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
         sentence = str(detail["ctx"]["error"])
         if not key:
             return sentence
-        return f"{key}: {sentence}" if detail["input"] is None else f"{key} = {shown(detail['input'])}: {sentence}"
+        return (
+            f"{key}: {sentence}" if detail["input"] is None else f"{key} = {format_value(detail['input'])}: {sentence}"
+        )
     must = must or detail["msg"].removeprefix("Input should be ")
-    return f"{key or 'value'} = {shown(detail['input'])}: must be {must}{meaning}."
+    return f"{key or 'value'} = {format_value(detail['input'])}: must be {must}{meaning}."
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
@@ -612,7 +616,7 @@ def _syntax_report(where: str, language: str, text: str, message: str) -> str:
     number = int(position[1])
     reason = message[: position.start()].strip()
     line = text.splitlines()[number - 1].strip() if number <= len(text.splitlines()) else ""
-    return f"{where}, line {number}, column {position[2]}: not valid {language}: {reason}: {shown(line)}."
+    return f"{where}, line {number}, column {position[2]}: not valid {language}: {reason}: {format_value(line)}."
 
 
 def is_number(cell: str) -> bool:

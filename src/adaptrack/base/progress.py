@@ -113,7 +113,7 @@ def _telling(label: str) -> Iterator[Callable[..., None]]:
         if not alone:
             yield work.update
             return
-        say = _bar if _in_notebook() else _record
+        say = _bar if _is_notebook() else _record
         teller = threading.Thread(target=_tell, args=(work, over, say()), daemon=True)
         teller.start()
         try:
@@ -138,7 +138,7 @@ def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float
 
 def _tell(work: Work, over: threading.Event, say: Callable[[Work, bool], None]) -> None:
     """In a thread: nothing of short work, then a word now and then; a last one at the end."""
-    if now_and_then(over, lambda: say(work, False), every=1.0 if _in_notebook() else None):
+    if now_and_then(over, lambda: say(work, False), every=1.0 if _is_notebook() else None):
         say(work, True)
 
 
@@ -169,7 +169,7 @@ def _bar() -> Callable[[Work, bool], None]:
     return say
 
 
-def _in_notebook() -> bool:
+def _is_notebook() -> bool:
     """Whether a cell of a notebook runs: IPython with a kernel, which nothing here loads by itself."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None

@@ -27,7 +27,7 @@ class Registry(Generic[Member]):
         self, member_kind: str, register: str, factories: Mapping[str, Callable[..., Member] | str],
         arguments: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self.what, self.register, self.factories = member_kind, register, dict(factories)
+        self.member_kind, self.register, self.factories = member_kind, register, dict(factories)
         self.arguments = arguments
 
     def add(self, name: str, factory: Callable[..., Member] | str) -> None:
@@ -40,9 +40,9 @@ class Registry(Generic[Member]):
             arguments.
         """
         if not name or not isinstance(name, str):
-            raise InvalidInput(f"{self.register}: the {self.what} needs a name, not {name!r}.")
+            raise InvalidInput(f"{self.register}: the {self.member_kind} needs a name, not {name!r}.")
         if name in self.factories:
-            raise InvalidInput(f"{self.register}: there is a {self.what} {name!r} already: choose another name.")
+            raise InvalidInput(f"{self.register}: there is a {self.member_kind} {name!r} already: choose another name.")
         if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
             raise InvalidInput(
                 f"{self.register}: the factory of {name!r} must be callable or 'package.module:name', not {factory!r}."
@@ -82,7 +82,7 @@ class Registry(Generic[Member]):
         UnknownName
             When none has this name; the message holds the nearest that is known.
         """
-        self.known(name)
+        self.check_name(name)
         factory = self.factories[name]
         if isinstance(factory, str):
             module, attribute = factory.split(":")
@@ -90,19 +90,19 @@ class Registry(Generic[Member]):
             self._check_arguments(name, factory)
         return factory
 
-    def known(self, name: str) -> None:
-        """Refuse a name that nobody has.
+    def check_name(self, name: str) -> None:
+        """Refuse an unregistered name.
 
         Raises
         ------
         UnknownName
-            With the nearest that is known.
+            With the nearest registered name.
         """
         if not isinstance(name, str) or name not in self.factories:
-            raise UnknownName(f"There is no {self.what} {name!r}. {did_you_mean(str(name), self.factories)}")
+            raise UnknownName(f"There is no {self.member_kind} {name!r}. {did_you_mean(str(name), self.factories)}")
 
     def names(self) -> list[str]:
-        """The known names, sorted."""
+        """Return the registered names, sorted."""
         return sorted(self.factories)
 
 

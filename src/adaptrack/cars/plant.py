@@ -562,7 +562,7 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
     """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
     dt = period / steps_in(period, plant)
 
-    def driven(speed: float, steering: float) -> Array:
+    def drive_one_second(speed: float, steering: float) -> Array:
         plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
         for _ in range(max(1, round(1.0 / dt))):
             environment = _DRY.copy()
@@ -575,7 +575,7 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
 
     for speed in speeds:
         place = f"at {speed} m/s"
-        straight, left, right = (driven(speed, angle) for angle in (0.0, 0.02, -0.02))
+        straight, left, right = (drive_one_second(speed, angle) for angle in (0.0, 0.02, -0.02))
         if symmetric and abs(straight[[1, 2, 4, 5]]).max() > 1e-6:
             _break(plant, "at zero steering the vehicle must go straight", f"{straight} {place}", _LOPSIDED)
         if not abs(straight[0] - speed) < 0.2 * speed:
@@ -588,7 +588,7 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
             _break(
                 plant, "the mirrored steering must give the mirrored motion", f"{left} and {right} {place}", _LOPSIDED
             )
-        if (driven(speed, 0.02) != left).any():
+        if (drive_one_second(speed, 0.02) != left).any():
             _break(plant, "after reset() the same steps must give the same motion", place)
 
 

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.cars.tyre_fit import Samples, TyreFit, fit_law, judged
+from adaptrack.cars.tyre_fit import Samples, TyreFit, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
 
 Array = NDArray[np.float64]
@@ -170,7 +170,7 @@ class TyreFile:
             relaxation_length=0.0 if reaches is None else float(f"{float(reaches):.3g}"),
         )  # fmt: skip
         tyre, friction, _ = fit_law(start, samples, float(self.friction(self.scaled_load)), ["load sensitivity"])
-        return judged(tyre, samples, friction, (*self.notes, *self._said(loads, reaches)))
+        return assess_fit(tyre, samples, friction, (*self.notes, *self._relaxation_note(loads, reaches)))
 
     def _digressive(self, loads: Array) -> tuple[float, float]:
         """Stiffness (N/rad) at the nominal load and the load ratio p of C sin(2 atan(q/p))."""
@@ -188,7 +188,7 @@ class TyreFile:
         solution = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))
         return float(f"{1e5 * solution.x[0]:.5g}"), float(f"{solution.x[1]:.5g}")
 
-    def _said(self, loads: Array, reaches: Array | None) -> list[str]:
+    def _relaxation_note(self, loads: Array, reaches: Array | None) -> list[str]:
         """Return the note on the relaxation length."""
         if reaches is None:
             return ["No relaxation length in the file: forces build up at once."]

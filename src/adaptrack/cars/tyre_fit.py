@@ -158,7 +158,7 @@ def _changed(tyre: Tyre, x: Array) -> tuple[Tyre, float]:
     return tyre.model_copy(update={name: values[name] for name in _changes(tyre)}), float(x[2])
 
 
-def judged(tyre: Tyre, samples: Samples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:
+def assess_fit(tyre: Tyre, samples: Samples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:
     """How far a tyre is from samples."""
     off = np.abs(lateral_force(tyre, samples.slip, samples.load, friction, samples.rear) - samples.force)
     q = samples.load / tyre.nominal_load

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.cars.tyre_fit import Samples, TyreFit, fit_law, judged, lateral_force
+from adaptrack.cars.tyre_fit import Samples, TyreFit, assess_fit, fit_law, lateral_force
 from adaptrack.cars.vehicle import Tyre
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ def tyre_from_table(
         notes.append("The forces hardly saturate: shape and friction, 1.35 and 1, are assumed.")
         tyre, friction = tyre.replace(shape=1.35, curvature=0.0, friction_load_sensitivity=0.0), ASSUMED_FRICTION
     notes.append("No relaxation length in a table of steady forces: they build up at once.")
-    return judged(tyre, samples, friction, tuple(notes))
+    return assess_fit(tyre, samples, friction, tuple(notes))
 
 
 def _columns(where: str) -> dict[str, Array]:

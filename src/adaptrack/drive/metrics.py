@@ -280,7 +280,7 @@ class PathRecord:
     wheel_angle: Array
     """rad, of the road wheels"""
     yaw_rate: Array | float = 0.0
-    """rad/s"""
+    """rad/s, of the car"""
     command: Array | float = 0.0
     """rad, requested angle of the road wheels"""
     curvature: Array | float = 0.0

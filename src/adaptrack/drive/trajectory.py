@@ -159,9 +159,9 @@ class Trajectory:
     ``dead_reckoning`` (s, for which the estimator had taken in no position; 0 where one was).
     """
     road: Mapping[str, Array] = field(default_factory=dict)
-    """Of a drive along a curved road, else empty: ``station`` (m, arc length of the car's foot on the centre line, over
-    all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π], against
-    the road) and ``curvature`` (1/m, of the road there)."""
+    """Signals relative to a curved road, empty without one: ``station`` (m, arc length of the car's foot on the centre
+    line, over all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π],
+    against the road) and ``curvature`` (1/m, of the road there)."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
     failed: str | None = None
@@ -180,7 +180,7 @@ class Trajectory:
         if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), self.period, rtol=1e-6, atol=0.0)):
             raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({self.period:g} s) apart.")
         for name in _NAMED:
-            object.__setattr__(self, name, _named(name, getattr(self, name), steps))
+            object.__setattr__(self, name, _storable_arrays(name, getattr(self, name), steps))
         object.__setattr__(self, "units", _units(self))
         if (self.failed is None) != math.isnan(self.failed_at):
             raise InvalidInput("trajectory: `failed` and `failed_at` go together: the reason and the time, or neither.")
@@ -398,7 +398,7 @@ def _checked(column: StoredArray, values: Any, steps: int) -> Array:
     return view
 
 
-def _named(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
+def _storable_arrays(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
     """Arrays by name, each of one of the types that a file stores."""
     kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
     arrays = {}

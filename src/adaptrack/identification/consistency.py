@@ -40,14 +40,14 @@ AXLE_PLACE, GRADIENTS, STIFFNESS = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
 load, 1/rad."""
 
 
-class Said(NamedTuple):
+class Moments(NamedTuple):
     """Estimates of the reported quantities from one stretch or log; logarithms of positive quantities, (m,) each."""
 
     mean: Array
     variance: Array
 
 
-def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Estimates that lie outside what was believed, or what any car has, in words."""
     messages = []
     for estimate in estimates.values():
@@ -56,10 +56,10 @@ def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
                 f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
                 f"standard deviations from what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
             )
-    return messages + _beyond_physics(estimates, car)
+    return messages + _unphysical_quantities(estimates, car)
 
 
-def _beyond_physics(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+def _unphysical_quantities(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Return the quantities outside physical bounds; a car file may still hold an unusual car."""
     wheelbase, lf = car.wheelbase, estimates["lf"].value
     lr = max(wheelbase - lf, 1e-3)
@@ -78,7 +78,7 @@ def _beyond_physics(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str
     ]
 
 
-def contradictions(subject: str, names: Sequence[str], prior: Said, statements: Sequence[Said]) -> list[str]:
+def contradictions(subject: str, names: Sequence[str], prior: Moments, statements: Sequence[Moments]) -> list[str]:
     """Quantities in which stretches or logs (``subject``) contradict each other, in words.
 
     names: of the m quantities; those of `MODEL_ERRORS` are compared.
@@ -106,8 +106,8 @@ def contradictions(subject: str, names: Sequence[str], prior: Said, statements: 
             numbers = ", ".join(_written(name, value) for value in values)
             messages.append(
                 f"{subject} contradict each other on {name}: {numbers} (chi-square {scatter:.0f} with "
-                f"{values.size - 1} degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by chance in "
-                f"{100 * LEVEL:g} % of logs)"
+                f"{values.size - 1} degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by "
+                f"chance in {100 * LEVEL:g} % of logs)"
             )
     return messages
 

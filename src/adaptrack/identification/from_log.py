@@ -19,7 +19,7 @@ from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed import without_computed
-from adaptrack.identification.consistency import Said, beyond_belief, contradictions
+from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
 from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -158,7 +158,7 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
     usable, against, open_ratio = _ratio(fit, estimates)
-    reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
+    reasons = implausible_estimates(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
     limits = _rivals_sentence(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
     rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
@@ -171,7 +171,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     """Identify one car from several logs; quantities of a single log stay with that log."""
     main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
     likelihood, first = fits[main].likelihood, alone[main]
-    reasons = contradictions("logs", *_said_by(fits, fits[main]))
+    reasons = contradictions("logs", *_moments_of_fits(fits, fits[main]))
     log_reasons = [
         f"log {i + 1}: {why}" for i, single in enumerate(alone) for why in single.reasons if not why.startswith(OPEN)
     ]  # fmt: skip
@@ -183,7 +183,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     }
     rows = [i for i, name in enumerate(estimates) if name in shared]
     open_ratio = [why for why in first.reasons if why.startswith(OPEN)] if not ratio_logs else []
-    reasons = [*(reasons or beyond_belief(shared, first.believed)), *log_reasons, *open_ratio]
+    reasons = [*(reasons or implausible_estimates(shared, first.believed)), *log_reasons, *open_ratio]
     return replace(
         first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
         findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),
@@ -396,7 +396,7 @@ def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) 
 
 
 # -- consistency ------------------------------------------------------------------------------------------------------
-def _stretches(fit: Fit) -> tuple[list[str], Said, list[Said]]:
+def _stretches(fit: Fit) -> tuple[list[str], Moments, list[Moments]]:
     """Names of the reported quantities, prior, and what thirds of a log say, each fitted from the whole log's point."""
     log, parts = fit.likelihood.log, []
     ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
@@ -404,25 +404,25 @@ def _stretches(fit: Fit) -> tuple[list[str], Said, list[Said]]:
         part = fit.likelihood.part(slice(first, last))
         z, at = part.fit(fit.z, NEARLY)
         parts.append(fit._replace(likelihood=part, z=z, covariance=part.covariance(at)))
-    return _said_by(parts, fit)
+    return _moments_of_fits(parts, fit)
 
 
-def _said_by(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Said, list[Said]]:
+def _moments_of_fits(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Moments, list[Moments]]:
     """Names of the quantities that a main fit reports, prior, and what each fit says of them."""
     rows = _reported(main.likelihood)
     prior, statements = _prior(main, rows), []
     for fit in fits:
         likelihood_rows = _reported(fit.likelihood)
-        mine, place = _said(fit, likelihood_rows), {row[0]: i for i, row in enumerate(likelihood_rows)}
+        mine, place = _moments(fit, likelihood_rows), {row[0]: i for i, row in enumerate(likelihood_rows)}
         mean, variance = prior.mean.copy(), prior.variance.copy()
         for i, (name, *_) in enumerate(rows):
             if name in place:
                 mean[i], variance[i] = mine.mean[place[name]], mine.variance[place[name]]
-        statements.append(Said(mean, variance))
+        statements.append(Moments(mean, variance))
     return [row[0] for row in rows], prior, statements
 
 
-def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+def _moments(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
     """Mean and variance of the reported quantities, errors corrected."""
     jacobian = _slopes(fit.likelihood, rows, fit.z)
     mean = _values(fit.likelihood, rows, fit.z)
@@ -431,15 +431,15 @@ def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
     for i, (name, _, _, positive, _) in enumerate(rows):
         value = math.exp(mean[i]) if positive else float(mean[i])
         spread[i] = corrected(name, spread[i], value, positive, before[i], fit.likelihood.log.tightest)
-    return Said(mean, spread**2)
+    return Moments(mean, spread**2)
 
 
-def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
     """Prior of the reported quantities, linearised at the fit."""
     likelihood = fit.likelihood
     jacobian = _slopes(likelihood, rows, fit.z)
     mean = _values(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]
-    return Said(mean, np.sum(jacobian**2, axis=1))
+    return Moments(mean, np.sum(jacobian**2, axis=1))
 
 
 # -- validation -------------------------------------------------------------------------------------------------------
@@ -472,7 +472,7 @@ def _validated(
         _explained(log.yaw_rate[measured], blindly[measured]),
         float(log.period * is_held_out.sum()), lags,
     )  # fmt: skip
-    wheels = likelihood.found(z)["wheel_angle"]
+    wheels = likelihood.filter_results(z)["wheel_angle"]
     simulated = log.yaw_rate - errors(z, log.begins.astype(np.float64))[0]
     return validation, Series(log.time, log.yaw_rate, simulated, normal, is_held_out, wheels)
 

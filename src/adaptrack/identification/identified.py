@@ -199,8 +199,8 @@ class Identification:
             "estimates": {
                 name: {
                     "value": estimate.value, "unit": estimate.unit, "standard_error": estimate.standard_error,
-                    "low": estimate.low, "high": estimate.high, "before": list(estimate.before), "spread_left": estimate.spread_left,
-                    "shift": estimate.shift,
+                    "low": estimate.low, "high": estimate.high, "before": list(estimate.before),
+                    "spread_left": estimate.spread_left, "shift": estimate.shift,
                 }
                 for name, estimate in self.estimates.items()
             },

@@ -56,7 +56,7 @@ class ReadLog:
         """s, median between samples"""
         return round(self.log.period, 4)
 
-    def has(self, name: str) -> bool:
+    def has_signal(self, name: str) -> bool:
         """Whether a signal is logged."""
         return bool(np.isfinite(self.columns.values.get(name, np.nan)).any())
 
@@ -75,7 +75,7 @@ class ReadLog:
             t = log.time[i:j]
             grid = t[0] + period * np.arange(math.floor((t[-1] - t[0]) / period + ON_GRID) + 1)
             speed, yaw, *motion = (
-                _at(grid, t, values[i:j], period)
+                _sample_at(grid, t, values[i:j], period)
                 for values in (log.speed, log.yaw, log.vy, log.yaw_rate, log.wheel, log.acceleration)
             )
             measured = np.zeros((grid.size, len(MEASURED)))
@@ -86,8 +86,8 @@ class ReadLog:
             before = self.before if i == 0 and self.before is not None else float(command[0])
             samples = Samples(grid, speed, command, before, measured)
             if raw[1].size and raw[2].size:
-                x, y = (_at(grid, raw[0], values, period) for values in raw[1:])
-                samples = samples.along(_driven(x, y, speed) if path is None else path, (x, y, yaw))
+                x, y = (_sample_at(grid, raw[0], values, period) for values in raw[1:])
+                samples = samples.along(_smoothed_path(x, y, speed) if path is None else path, (x, y, yaw))
             yield samples
 
 
@@ -99,7 +99,7 @@ def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
         return None
 
 
-def _at(grid: Array, time: Array, values: Array, period: float) -> Array:
+def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:
     """Values at instants: the sample of an instant, else on the line between its neighbours; NaN in holes."""
     is_finite = np.isfinite(time) & np.isfinite(values)
     is_finite[is_finite] = np.diff(np.maximum.accumulate(time[is_finite]), prepend=-np.inf) > 0.0
@@ -115,7 +115,7 @@ def _at(grid: Array, time: Array, values: Array, period: float) -> Array:
     return resampled
 
 
-def _driven(x: Array, y: Array, speed: Array) -> Road | None:
+def _smoothed_path(x: Array, y: Array, speed: Array) -> Road | None:
     """The path that was driven, smoothed; None where it is too short."""
     points = np.column_stack([x, y])[np.isfinite(x) & np.isfinite(y)]
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])

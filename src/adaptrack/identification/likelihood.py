@@ -112,7 +112,7 @@ class Likelihood:
         self._kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
         return self._answer[: len(OUTPUTS)].copy(), self._answer[len(OUTPUTS) : 2 * len(OUTPUTS)].copy()
 
-    def found(self, z: Array) -> dict[str, Array]:
+    def filter_results(self, z: Array) -> dict[str, Array]:
         """Filter results at each sample, by the names of the kernel's `FOUND`."""
         self.innovations(z)
         return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(OUTPUTS) :].copy(), strict=True))
@@ -136,7 +136,7 @@ class Likelihood:
 
     def follow_gusts(self, z: Array) -> None:
         """Let the spread of the wind's noise follow how much the wind changes along the log."""
-        wind, time, begins = self.found(z)["wind"], self.log.time, self.log.begins
+        wind, time, begins = self.filter_results(z)["wind"], self.log.time, self.log.begins
         change = np.zeros_like(wind)
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
         power = _window_mean(time, change**2, GUST_WINDOW)

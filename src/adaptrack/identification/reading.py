@@ -140,7 +140,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
     table = _table_from_arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
-    signal_columns, notes = _named(table.columns, reading, where)
+    signal_columns, notes = _assign_columns(table.columns, reading, where)
     origin = _read_times(table, signal_columns.get("time"), reading, where)
     values = {}
     for signal, column in signal_columns.items():
@@ -311,7 +311,7 @@ def _plain(column: str) -> tuple[str, str]:
     return name, ""
 
 
-def _named(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
+def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
     """Signal -> column: those that are given, then those whose name is known."""
     signal_columns: dict[str, str] = {}
     for signal, column in reading.columns.items():

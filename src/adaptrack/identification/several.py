@@ -50,7 +50,7 @@ def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
     """
     posteriors = [(fit.z, fit.covariance) for fit in fits] if agree else _parted(fits)
     mean, information = _added(fits, posteriors)
-    return [_given(fit, *posterior, mean, information) for fit, posterior in zip(fits, posteriors, strict=True)]
+    return [_condition(fit, *posterior, mean, information) for fit, posterior in zip(fits, posteriors, strict=True)]
 
 
 def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
@@ -95,7 +95,7 @@ def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) ->
     return np.asarray(np.linalg.solve(information, toward), dtype=np.float64), information
 
 
-def _given(
+def _condition(
     fit: Fitted, z: Array, covariance: Array, mean: Array, information: Array
 ) -> tuple[Array, Array]:  # fmt: skip
     """A log's point and covariance, where the shared entries are as all logs have them."""

@@ -65,7 +65,7 @@ SPOILT = 0.9
 
 
 class Warned(NamedTuple):
-    """What would have been warned of: for how long in all, and from when on first (s); NaN: of the whole log."""
+    """A warning, its total duration and the time of its first instant (s); NaN if it concerns the whole log."""
 
     what: str
     seconds: float
@@ -79,7 +79,7 @@ class Prediction(NamedTuple):
     quantity: str
     """yaw_rate (rad/s), or y (m), the offset from the path"""
     ahead: float
-    """s"""
+    """Prediction horizon (s)."""
     part: str
     """all, or fastest: the third of the log with the fastest steering"""
     rms: Interval
@@ -89,7 +89,7 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ShadowLog:
-    """What came of one log, at n control instants."""
+    """Result of one log, at n control instants."""
 
     source: str
     time: Array
@@ -111,7 +111,7 @@ class ShadowLog:
     """of what the truth may lie beyond its range, in the end"""
     notes: tuple[str, ...]
     before: LearnedCar
-    """what was believed before the first log"""
+    """The belief before the first log."""
     learned: LearnedCar
 
     @property
@@ -255,7 +255,7 @@ def _spoiling(
     doubted, error = amiss(shadow_logs)
     best: tuple[str, ...] = ()
     for names in OPTIONAL:
-        if all(read_log.has(name) for read_log in read for name in names):
+        if all(read_log.has_signal(name) for read_log in read for name in names):
             fewer, left = amiss(_all(read, road, mpc, names, show))
             if (fewer < doubted and left < error / SPOILT) or (fewer <= doubted and left < SPOILT * error):
                 doubted, error, best = fewer, left, names
@@ -286,7 +286,9 @@ def _gone_through(
     path_notes += (
         [] if read.log.commanded else ["here the delay is that from the measured wheel to the logged yaw rate"]
     )
-    return _judged(read, {key: np.concatenate([part[key] for part in gone]) for key in gone[0]}, path_notes, observers)
+    return _summarise_log(
+        read, {key: np.concatenate([part[key] for part in gone]) for key in gone[0]}, path_notes, observers
+    )
 
 
 def _tell(report: Callable[[int, int], None], previous: int, current: int, total: int, share: float) -> None:
@@ -297,7 +299,7 @@ def _tell(report: Callable[[int, int], None], previous: int, current: int, total
 def _watched(
     samples: Samples, observers: tuple[Observer, Observer, MPC], tell: Callable[[float], None]
 ) -> tuple[Array, Array, Array, Array]:
-    """Go through the instants of a segment: beliefs, `Observer.now` of both (n, .), the controller's command (n,)."""
+    """Go through a segment's instants: beliefs, `Observer.state_row` of both (n, .), the controller's commands (n,)."""
     ours, first, mpc = observers
     applied, rows, horizon = samples.before, [], mpc.tuning.Np * mpc.period
     preview = round(PREVIEW / mpc.period)
@@ -310,7 +312,7 @@ def _watched(
             mpc.applied(applied)
             answer = mpc.step(measured, speed, np.zeros(1), road=ahead)
             proposed = math.nan if answer.held or samples.left(k) < speed * horizon else answer.angle
-        rows.append((ours.beliefs.copy(), ours.now(), first.now(), proposed))
+        rows.append((ours.beliefs.copy(), ours.state_row(), first.state_row(), proposed))
         applied = float(samples.command[k])
         if k % 256 == 255:
             tell(0.5 * k / samples.time.size)
@@ -319,10 +321,10 @@ def _watched(
 
 
 # -- what comes of it -------------------------------------------------------------------------------------------------
-def _judged(
+def _summarise_log(
     read: ReadLog, records: Mapping[Any, Array], path_notes: Sequence[str], observers: tuple[Observer, Observer, MPC]
 ) -> ShadowLog:
-    """A log that was gone through; found: its signals at the control instants."""
+    """Summarise a log; records: its signals at the control instants."""
     ours, first, mpc = observers
     time = records["time"] - read.log.time[0]
     expected = {key: values for key, values in records.items() if isinstance(key, tuple)}
@@ -336,8 +338,10 @@ def _judged(
     }
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
-    doubts = [contradiction.what for contradiction in contradictions] + _held(contradictory, late, CONTRADICTED)
-    doubts += _held(silent, np.ones_like(late), 0.5)
+    doubts = [contradiction.what for contradiction in contradictions] + _lasting_messages(
+        contradictory, late, CONTRADICTED
+    )
+    doubts += _lasting_messages(silent, np.ones_like(late), 0.5)
     better = {
         prediction.predictor
         for prediction in predictions
@@ -348,7 +352,7 @@ def _judged(
         source=read.name, time=time, command=records["command"], proposed=records["proposed"],
         beliefs={name: records[name] for name in kernel.BELIEFS}, measured=measured, predicted=expected,
         predictions=predictions, warnings=(*contradictions, *_spans(contradictory | bounds | silent, time, mpc.period)),
-        doubts=tuple(doubts), bounds=tuple(_held(bounds, late, 0.5)), notes=(*read.log.notes, *path_notes),
+        doubts=tuple(doubts), bounds=tuple(_lasting_messages(bounds, late, 0.5)), notes=(*read.log.notes, *path_notes),
         before=first.learner.learned(first.known),
         learned=ours.learner.learned(ours.known),
     )  # fmt: skip
@@ -395,13 +399,13 @@ def _at_bounds(records: Mapping[Any, Array]) -> dict[str, Flags]:
     }
 
 
-def _held(flags: Mapping[str, Flags], late: Flags, share: float) -> list[str]:
-    """What held for more than a share of the end, or of all."""
+def _lasting_messages(flags: Mapping[str, Flags], late: Flags, share: float) -> list[str]:
+    """Return the messages that hold for more than a `share` of the `late` instants."""
     return [message for message, there in flags.items() if there[late].mean() > share]
 
 
 def _spans(flags: Mapping[str, Flags], time: Array, period: float) -> Iterator[Warned]:
-    """What held for `LEAST_SPAN` or longer in all."""
+    """Yield the messages that hold for `LEAST_SPAN` or longer in all."""
     for message, there in flags.items():
         if period * there.sum() >= LEAST_SPAN:
             yield Warned(message, float(period * there.sum()), float(time[np.argmax(there)]))

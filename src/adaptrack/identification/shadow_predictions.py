@@ -40,7 +40,7 @@ EVERY = 0.1
 _STATE, _N = kalman.STATE, len(kalman.STATE)
 _MODEL = slice(_N + 1, _N + 8)
 _WHOLE, _SHARE, _BIAS, LEFT_OUT = range(_N + 8, _N + 12)
-"""Places in `Observer.now`, behind the states of the filter and the saturation."""
+"""Places in `Observer.state_row`, behind the states of the filter and the saturation."""
 
 
 class Observer:
@@ -80,14 +80,14 @@ class Observer:
         """By `BELIEFS`."""
         return self.known[kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]
 
-    def now(self) -> Array:
-        """What is predicted from: z, saturation, the model, dead time in periods, bias; then the sensor left out."""
+    def state_row(self) -> Array:
+        """Return z, saturation, the model, dead time in periods, bias and the number of the omitted sensor."""
         m, p = kalman.memory_of(self.memory, 0), kalman.parameters_of(self.filter, 0)
         return np.array([*m.z, m.saturation, *self.car, p.whole, p.share, p.bias, m.left_out])
 
 
 def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
-    """From every `EVERY` s of a segment; ours, first: (n, .) of `Observer.now`, with and without learning.
+    """From every `EVERY` s of a segment; ours, first: (n, .) of `Observer.state_row`, with and without learning.
 
     tell: takes the share of the work on the segment that is done, of which this is the second half.
     """
@@ -129,7 +129,7 @@ def _roll(z: Array, samples: Samples, k: Places, rows: Array, period: float) -> 
 
 
 def _carry(z: Array, samples: Samples, k: Places, period: float) -> None:
-    """The same of heading and offset alone, by the lateral velocity and the yaw rate in z."""
+    """Move heading and offset alone on by a period, with the lateral velocity and the yaw rate in z."""
     turned = period * z[:, _STATE.yaw_rate] - samples.measured[k + 1, MEASURED.turned]
     z[:, _STATE.y] += period * (z[:, _STATE.vy] + samples.speed[k] * (z[:, _STATE.yaw] + 0.5 * turned))
     z[:, _STATE.yaw] += turned

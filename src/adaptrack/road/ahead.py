@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.checked import real, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.core import road as kernel
 from adaptrack.core.path import cells_of
 from adaptrack.road.road import Projection, Road
@@ -87,7 +87,7 @@ class RoadAhead:
 
     def __post_init__(self) -> None:
         if not isinstance(self.road, Road):
-            raise InvalidInput(f"RoadAhead: road = {shown(self.road)}: must be a Road.")
+            raise InvalidInput(f"RoadAhead: road = {format_value(self.road)}: must be a Road.")
         station, speeds = real("RoadAhead", "station", self.station), np.atleast_1d(reals("speeds", self.speeds))
         if not math.isfinite(station):
             raise InvalidInput(f"RoadAhead: station = {self.station!r} m: must be finite.")

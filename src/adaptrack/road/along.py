@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
 from adaptrack.base.checked import real, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.base.files import Record
 from adaptrack.core.planning import along as kernel
 from adaptrack.road.segments import Array
@@ -103,7 +103,7 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
         return Along.constant(real("Along", name, value))
     except InvalidInput as error:
         raise InvalidInput(
-            f"{name} = {shown(value)}: must be a number, a pair (arc lengths, values) or an Along: {error}"
+            f"{name} = {format_value(value)}: must be a number, a pair (arc lengths, values) or an Along: {error}"
         ) from None
 
 

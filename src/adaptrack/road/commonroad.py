@@ -50,7 +50,7 @@ def read_commonroad(
     where = os.fspath(path)
     network = _network(where, read_bytes(path))
     lanelets = {int(lanelet.lanelet_id): lanelet for lanelet in network.lanelets}
-    chain = [lanelets[number] for number in _chain(where, lanelets, _wanted(where, road))]
+    chain = [lanelets[number] for number in _chain(where, lanelets, _lanelet_numbers(where, road))]
     points, values = _middle(chain, [_limit(network, lanelet) for lanelet in chain])
     try:
         fitted_road = fit_road(points, **({"name": Path(path).stem, **values} | options))
@@ -82,7 +82,7 @@ def _network(where: str, content: bytes) -> Any:
     return network
 
 
-def _wanted(where: str, road: str | int | Sequence[int] | None) -> list[int]:
+def _lanelet_numbers(where: str, road: str | int | Sequence[int] | None) -> list[int]:
     if road is None:
         return []
     parts = road.split(",") if isinstance(road, str) else [road] if isinstance(road, int) else list(road)

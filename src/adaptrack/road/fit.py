@@ -392,7 +392,7 @@ class _Fit(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """m"""
+        """Deviation of the line from the points (m)."""
         return float(self.distances.max())
 
 

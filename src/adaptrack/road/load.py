@@ -43,7 +43,7 @@ def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
     values = {key: getattr(file, key) for key in ALONG if getattr(file, key) is not None}
     values |= {"name": file.name or Path(path).stem} | along
     try:
-        return _made(file, values)
+        return _build_road(file, values)
     except InvalidInput as error:
         raise ConfigError(f"{where}: {error}") from None
 
@@ -55,7 +55,7 @@ def _tuples(data: Any) -> Any:
     return tuple(map(_tuples, data)) if isinstance(data, list) else data
 
 
-def _made(file: RoadFile, values: dict[str, Any]) -> Road:
+def _build_road(file: RoadFile, values: dict[str, Any]) -> Road:
     if file.points:
         bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
         return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)

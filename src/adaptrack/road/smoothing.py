@@ -56,7 +56,7 @@ class Smoother:
         self._system: _System | None = None
 
     def finer(self) -> Smoother:
-        """The same with knots at half the distance."""
+        """Return a smoother with knots at half the distance."""
         return Smoother(self.points, self.places, self.length, self.closed, 0.5 * self.spacing)
 
     def _system_at(self, scale: float) -> tuple[_System, Array]:

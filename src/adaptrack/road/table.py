@@ -35,7 +35,7 @@ class Pieces(NamedTuple):
 
     @property
     def length(self) -> float:
-        """m"""
+        """Length of the line (m)."""
         return float(self.start[-1])
 
     def packed(self, closed: bool) -> Any:
@@ -55,15 +55,15 @@ class Pieces(NamedTuple):
         index = np.clip(np.where(side < 0.0, before, after) - 1, 0, len(self.pieces) - 1)
         piece = self.pieces[index]
         half = piece[..., HALF]
-        return of_pieces(piece, (s - self.start[index]) / half - 1.0)
+        return points_on_pieces(piece, (s - self.start[index]) / half - 1.0)
 
     def ends(self) -> tuple[Points, Points]:
         """The points at the start and at the end of every piece."""
         ones = np.ones(len(self.pieces))
-        return of_pieces(self.pieces, -ones), of_pieces(self.pieces, ones)
+        return points_on_pieces(self.pieces, -ones), points_on_pieces(self.pieces, ones)
 
 
-def of_pieces(piece: Array, u: Array) -> Points:
+def points_on_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
     along = _polynomial(piece[..., ALONG:ACROSS], u)
     across = _polynomial(piece[..., ACROSS:TURNED], u)
@@ -131,7 +131,7 @@ def _chained(start: Array, pieces: Array) -> Pieces:
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
-    first, last = of_pieces(pieces, np.full(len(pieces), -1.0)), of_pieces(pieces, np.ones(len(pieces)))
+    first, last = points_on_pieces(pieces, np.full(len(pieces), -1.0)), points_on_pieces(pieces, np.ones(len(pieces)))
     for column, begins, stops in ((X, first.x, last.x), (Y, first.y, last.y)):
         pieces[:, column] = np.concatenate([[0.0], np.cumsum(stops - begins)[:-1]]) - begins
     return Pieces(start, pieces)

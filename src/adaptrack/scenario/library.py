@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.checked import checked, real
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, shown
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, format_value
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY
@@ -290,7 +290,7 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
             raise UnknownName(f"scenario {name!r} has no option {key!r}. {did_you_mean(key, option_names)}")
         if key not in COMMON_OPTIONS:
             if not _is_number(options[key]):
-                raise InvalidInput(f"{key} = {shown(options[key])}: must be a finite number.")
+                raise InvalidInput(f"{key} = {format_value(options[key])}: must be a finite number.")
             options[key] = float(options[key])
     if not isinstance(options.get("mirrored", False), bool):
         raise InvalidInput(f"mirrored = {options['mirrored']!r}: must be true or false.")

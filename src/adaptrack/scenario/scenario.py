@@ -149,11 +149,11 @@ class Scenario(Record):
         )
 
     def with_duration(self, duration: float) -> Scenario:
-        """The same signals over another time (s) from the start; after their last knot they are held."""
+        """Return the scenario with another duration (s); signals hold their value after the last knot."""
         return self.replace(duration=duration)
 
     def with_window(self, name: str) -> Scenario:
-        """The same signals over one of the durations named in `windows`."""
+        """Return the scenario with one of the durations named in `windows`."""
         if name not in self.windows:
             hint = did_you_mean(str(name), self.windows) if self.windows else "It names none: give a duration."
             raise InvalidInput(f"scenario {self.name!r} has no window {name!r}. {hint}")

@@ -50,7 +50,7 @@ class Shape(Record):
         """The value at the times `t` (s), in the shape of `t`; at a jump, the value after it."""
 
     def scaled(self, factor: float) -> Self:
-        """The same function of time, multiplied by `factor`."""
+        """Return the function of time multiplied by `factor`."""
         return self.replace(**{name: _product(factor, getattr(self, name)) for name in self.linear_in})
 
     def table(self) -> Any:
@@ -176,7 +176,7 @@ class Knots(Shape):
         )
 
     def scaled(self, factor: float) -> Self:
-        """The same curve with every value multiplied by `factor`."""
+        """Return the curve with every value multiplied by `factor`."""
         return self.replace(points=tuple((t, _product(factor, value)) for t, value in self.points))
 
 
@@ -238,7 +238,7 @@ class TanhSteps(Shape):
         return (0.5 * amplitude * (1.0 + np.tanh(place))).sum(axis=-1)
 
     def scaled(self, factor: float) -> Self:
-        """The same steps with every height multiplied by `factor`."""
+        """Return the steps with every height multiplied by `factor`."""
         return self.replace(steps=tuple((_product(factor, height), t0, tau) for height, t0, tau in self.steps))
 
 
