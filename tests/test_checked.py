@@ -23,7 +23,7 @@ from adaptrack.base import checked as checks
 from adaptrack.base.checked import Bound, Count, Finite, Hint, Natural, NotNegative, Number, Positive, Share, checked
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import Record, build
-from adaptrack.base.limits import CONTROL_HORIZON, SPEED
+from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED
 
 if TYPE_CHECKING:
     from nowhere import Elsewhere
@@ -44,7 +44,7 @@ class Box:
 def drive(
     road: Elsewhere[int],
     *,
-    speed: Annotated[Positive, "m/s", SPEED] = 1.0,
+    speed: Annotated[Positive, "m/s", MAX_SPEED] = 1.0,
     moves: Annotated[Count, CONTROL_HORIZON] = 1,
     angle: Annotated[tuple[Finite, Finite], "rad", Hint("give (low, high)")] = (0.0, 1.0),
     weights: Mapping[str, NotNegative] | None = None,

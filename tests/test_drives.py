@@ -14,7 +14,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
-from adaptrack.scenario.drives import BRAKING, GRIP_ALONG, TRACTION
+from adaptrack.scenario.drives import GRIP_ALONG, MAX_BRAKING, MAX_TRACTION
 
 STEP = 0.01
 T = np.arange(0.0, 60.0 + STEP / 2, STEP)
@@ -106,8 +106,8 @@ def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised: tuple[dict[
         speed, along = drive.speed_at(T), rate(drive.speed_at)
         assert ranges["speed"][0] - 1e-9 <= speed.min()
         assert speed.max() <= ranges["speed"][1] + 1e-9
-        assert along.min() >= -BRAKING - 1e-6
-        assert along.max() <= TRACTION + 1e-6
+        assert along.min() >= -MAX_BRAKING - 1e-6
+        assert along.max() <= MAX_TRACTION + 1e-6
         assert (np.abs(along) <= GRIP_ALONG * available(drive) + 1e-6).all()
         assert np.abs(np.diff(along)).max() < 8.0 * STEP  # smoothly: no jump of the acceleration
 

@@ -13,7 +13,7 @@ from adaptrack.paper.campaign_config import CampaignConfig, Plan
 from adaptrack.scenario import Scenario, load_scenario
 from small_data import small_campaign
 
-LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]
+LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.RequestLimit)]
 
 
 def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reason():
@@ -25,7 +25,7 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
         assert limit.reason in str(refused.value)
     for value in (10**400, 1e300, np.inf):
         with pytest.raises(InvalidInput) as refused:
-            limits.check_limit("it", value, limits.SPEED)
+            limits.check_limit("it", value, limits.MAX_SPEED)
         assert len(str(refused.value)) < 120
 
 

@@ -14,7 +14,7 @@ from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Body, load_vehicle
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics, published_mse
-from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.road import Arc, Line
 from adaptrack.road.road import Road
 
@@ -26,7 +26,7 @@ T = np.arange(0.0, 60.0, 0.05)
 def record(n=8, period=0.1, **changes):
     """A car at 10 m/s on a straight reference, nothing measured; `changes` replace arrays (scalars fill them)."""
     arrays = {}
-    for column in COLUMNS:
+    for column in TRAJECTORY_COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
         arrays[column.name] = np.zeros(shape, dtype=column.dtype)
     arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "step_time": np.full(n, NAN)}

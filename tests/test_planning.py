@@ -21,7 +21,7 @@ from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 from adaptrack.road.cornering import cornering_limit, packed
-from adaptrack.road.road import DRY
+from adaptrack.road.road import DRY_FRICTION
 from adaptrack.scenario import RoadDrive, load_scenario
 
 pytestmark = pytest.mark.kernels
@@ -64,7 +64,7 @@ def planned(planning):
 @pytest.mark.parametrize(("points", "closed"), [(OVAL, True), (BENDS, False)])
 def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_the_bit(points, closed, car):
     bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
-    planning = to_plan(line_through(points, closed), car, friction=DRY.value[0], bounds=bounds)
+    planning = to_plan(line_through(points, closed), car, friction=DRY_FRICTION.value[0], bounds=bounds)
     plan, road = planned(planning), road_through(points, closed=closed)
     known = plan_speed(road, car)
     np.testing.assert_array_equal(planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [known.s, known.speed, known.time])

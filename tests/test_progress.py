@@ -14,8 +14,8 @@ from adaptrack.base.progress import tells
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(progress, "FIRST", 0.02)
-    monkeypatch.setattr(progress, "NEXT", 0.02)
+    monkeypatch.setattr(progress, "FIRST_PAUSE", 0.02)
+    monkeypatch.setattr(progress, "NEXT_PAUSE", 0.02)
 
 
 @tells("search")

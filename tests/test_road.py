@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.core import road as kernel
-from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
+from adaptrack.road import ROAD_KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
 from adaptrack.road.opendrive_lanes import line_at_offset
 from adaptrack.road.table import joined, placed, tabulate
 from references.road import beside, coarse_samples, end_of, exact_points, feet_by_search, figure_of_eight
@@ -253,7 +253,7 @@ def test_the_foot_is_the_minimum_of_distance_nearest_in_arc_length(road, rng):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic", "tight", "round"])
+@pytest.mark.parametrize("kind", [*ROAD_KINDS, "eight", "cubic", "tight", "round"])
 def test_no_place_of_a_road_is_nearer_to_a_point_than_its_foot(kind, rng):
     roads = {"eight": eight(), "cubic": Road.from_segments([CUBIC, Line(length=20.0)]), "tight": TIGHT, "round": ROUND}
     road = roads[kind] if kind in roads else generate_road(kind, seed=5, length=1200.0)
@@ -298,14 +298,14 @@ def test_where_rounding_left_a_kink_the_foot_is_the_corner_or_beside_it():
 
 
 # -- generated --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ROAD_KINDS)
 def test_a_generated_road_is_of_its_kind_and_its_seed(kind):
     road, again, other = (generate_road(kind, seed, length=1500.0) for seed in (1, 1, 2))
     assert np.array_equal(road.table.pieces, again.table.pieces)
     assert road.length != other.length
     assert 1300.0 < road.length < 4500.0
     assert road.curvature_jumps() == []
-    size = KINDS[kind]
+    size = ROAD_KINDS[kind]
     tightest = min(size.radius[0], size.tight_radius[0] or math.inf)
     assert 1.0 / np.abs(road.at(np.arange(0.0, road.length, 0.5)).curvature).max() >= tightest * (1.0 - 1e-9)
     assert road.closed is (kind == "lap")

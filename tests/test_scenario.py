@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.scenario import (
-    SHAPES,
+    SHAPE_TYPES,
     Constant,
     Gust,
     Knots,
@@ -73,7 +73,7 @@ def derivative(function, t: np.ndarray, h: float = 1e-6) -> np.ndarray:
 
 
 def test_a_shape_keeps_the_form_of_its_times_scales_and_survives_its_table() -> None:
-    assert {shape.kind for shape in ONE_OF_EACH} == set(SHAPES)
+    assert {shape.kind for shape in ONE_OF_EACH} == set(SHAPE_TYPES)
     t = np.linspace(-1.0, 7.0, 12)
     for shape in ONE_OF_EACH:
         values = shape.at(t)

@@ -17,7 +17,7 @@ mark: the argument must be an object of one of its classes.
     plan_speed: road = <Vehicle van>: must be a Road.
 
 A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
-`Limit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
+`RequestLimit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
 whatever runs once a control period, by `real`, `whole_number` and `reals`.
 """
 
@@ -45,11 +45,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
 from adaptrack.base.errors import InvalidInput, format_value
-from adaptrack.base.limits import Limit
+from adaptrack.base.limits import RequestLimit
 
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
-Target = TypeVar("Target", bound=Callable[..., Any])
+CheckedTarget = TypeVar("CheckedTarget", bound=Callable[..., Any])
 
 
 def _as_float(value: Any) -> float:
@@ -106,7 +106,7 @@ def within(low: float, high: float) -> Any:
     return Field(ge=low, le=high)
 
 
-def checked(target: Target) -> Target:
+def checked(target: CheckedTarget) -> CheckedTarget:
     """Check the arguments of a function, a method or a dataclass by their annotations, as this module says.
 
     The annotations are read at the first call; names that only type checkers import may stand in them.
@@ -115,7 +115,7 @@ def checked(target: Target) -> Target:
         vars_of = [vars(sys.modules[parent.__module__]) for parent in target.__mro__]
         target.__init__ = _checked(target.__init__, vars_of)  # type: ignore[misc]
         return target
-    return typing.cast(Target, _checked(target, [inspect.unwrap(target).__globals__]))
+    return typing.cast(CheckedTarget, _checked(target, [inspect.unwrap(target).__globals__]))
 
 
 def check_parameters(instance: object) -> None:
@@ -332,7 +332,7 @@ def _is_checked(annotation: Any) -> bool:
 
 def _is_constrained(annotation: Any) -> bool:
     """Whether an annotation itself constrains a value."""
-    marks = (FieldInfo, BeforeValidator, _Class, Limit)
+    marks = (FieldInfo, BeforeValidator, _Class, RequestLimit)
     return any(isinstance(mark, marks) for mark in _metadata(annotation))
 
 

@@ -13,26 +13,26 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, ParamSpec, TypeVar
 
-FIRST, NEXT, RAREST = 2.0, 5.0, 60.0
+FIRST_PAUSE, NEXT_PAUSE, LONGEST_PAUSE = 2.0, 5.0, 60.0
 """s, until the first word, until the next, and at most, in work of hours."""
 
 _log = logging.getLogger("adaptrack")
 ProgressCall = Callable[[str, int, int], None]
 """What long work calls: its stage, the steps done, the steps in all."""
-P = ParamSpec("P")
-R = TypeVar("R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
-def tells(label: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def tells(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """A decorator of a function with an argument `progress`: where that is left out, the work says how far it is.
 
     label: what is done. `progress` is called with (stage, done, of) or (done, of). Where something else is on show
     already, such as the bar of a command, nothing is said.
     """
 
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+    def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
         @functools.wraps(function)
-        def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        def wrapped(*args: _P.args, **kwargs: _P.kwargs) -> _R:
             if kwargs.get("progress") is not None:
                 return function(*args, **kwargs)
             with _telling(label) as update:
@@ -44,7 +44,7 @@ def tells(label: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-class Work:
+class TrackedWork:
     """How far long work is, and how long it will take.
 
     label: what is done; total: its pieces, each of which goes from 0 to its steps. A single piece may have stages, one
@@ -92,12 +92,12 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-_visible_work: list[Work] = []
+_visible_work: list[TrackedWork] = []
 """The work whose progress is on show: what it calls says nothing of its own."""
 
 
 @contextmanager
-def showing(work: Work) -> Iterator[bool]:
+def showing(work: TrackedWork) -> Iterator[bool]:
     """Put the progress of some work on show; yields whether it is the only one, to be shown."""
     _visible_work.append(work)
     try:
@@ -108,7 +108,7 @@ def showing(work: Work) -> Iterator[bool]:
 
 @contextmanager
 def _telling(label: str) -> Iterator[Callable[..., None]]:
-    work, over = Work(label), threading.Event()
+    work, over = TrackedWork(label), threading.Event()
     with showing(work) as alone:
         if not alone:
             yield work.update
@@ -128,37 +128,37 @@ def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float
 
     every: s, of each pause after the first, where they shall be equal.
     """
-    pause, begun, is_announced = FIRST, time.monotonic(), False
+    pause, begun, is_announced = FIRST_PAUSE, time.monotonic(), False
     while not over.wait(pause):
         say()
         is_announced = True
-        pause = min(max(NEXT, 0.1 * (time.monotonic() - begun)), RAREST) if every is None else every
+        pause = min(max(NEXT_PAUSE, 0.1 * (time.monotonic() - begun)), LONGEST_PAUSE) if every is None else every
     return is_announced
 
 
-def _tell(work: Work, over: threading.Event, say: Callable[[Work, bool], None]) -> None:
+def _tell(work: TrackedWork, over: threading.Event, say: Callable[[TrackedWork, bool], None]) -> None:
     """In a thread: nothing of short work, then a word now and then; a last one at the end."""
     if now_and_then(over, lambda: say(work, False), every=1.0 if _is_notebook() else None):
         say(work, True)
 
 
-def _record() -> Callable[[Work, bool], None]:
+def _record() -> Callable[[TrackedWork, bool], None]:
     """Log records of level WARNING: without any configuration Python shows them on standard error, everywhere."""
 
-    def say(work: Work, ended: bool) -> None:
+    def say(work: TrackedWork, ended: bool) -> None:
         if not ended:
             _log.warning("adaptrack: %s", work.line())
 
     return say
 
 
-def _bar() -> Callable[[Work, bool], None]:
+def _bar() -> Callable[[TrackedWork, bool], None]:
     """A bar below the cell that moves."""
     from IPython.display import HTML, display
 
     handles: list[Any] = []
 
-    def say(work: Work, ended: bool) -> None:
+    def say(work: TrackedWork, ended: bool) -> None:
         share = 1.0 if ended else work.share
         bar = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.line())}')
         if handles:

@@ -13,10 +13,10 @@ from typing import Any, Generic, TypeVar
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.text import printable
 
-Member = TypeVar("Member")
+MemberType = TypeVar("MemberType")
 
 
-class Registry(Generic[Member]):
+class Registry(Generic[MemberType]):
     """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first used.
 
     member_kind: what a member is called in messages; register: the public function that adds to it; arguments: names
@@ -24,13 +24,13 @@ class Registry(Generic[Member]):
     """
 
     def __init__(
-        self, member_kind: str, register: str, factories: Mapping[str, Callable[..., Member] | str],
+        self, member_kind: str, register: str, factories: Mapping[str, Callable[..., MemberType] | str],
         arguments: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.member_kind, self.register, self.factories = member_kind, register, dict(factories)
         self.arguments = arguments
 
-    def add(self, name: str, factory: Callable[..., Member] | str) -> None:
+    def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
         """Give a factory a name.
 
         Raises
@@ -51,7 +51,7 @@ class Registry(Generic[Member]):
             self._check_arguments(name, factory)
         self.factories[name] = factory
 
-    def _check_arguments(self, name: str, factory: Callable[..., Member]) -> None:
+    def _check_arguments(self, name: str, factory: Callable[..., MemberType]) -> None:
         try:
             signature = inspect.signature(factory)
         except ValueError:  # of a function in C
@@ -64,7 +64,7 @@ class Registry(Generic[Member]):
                 f"({', '.join(self.arguments)})."
             ) from None
 
-    def make(self, name: str, *arguments: Any, **options: Any) -> Member:
+    def make(self, name: str, *arguments: Any, **options: Any) -> MemberType:
         """Call the factory registered under a name.
 
         Raises
@@ -74,7 +74,7 @@ class Registry(Generic[Member]):
         """
         return self.factory(name)(*arguments, **options)
 
-    def factory(self, name: str) -> Callable[..., Member]:
+    def factory(self, name: str) -> Callable[..., MemberType]:
         """The factory of this name.
 
         Raises

@@ -12,7 +12,7 @@ from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 
-RESAMPLES, SEED = 2000, 0x9160
+BOOTSTRAP_RESAMPLES, BOOTSTRAP_SEED = 2000, 0x9160
 """Of a bootstrap."""
 
 
@@ -68,9 +68,11 @@ def _resampled(values: Array) -> Array:
 @lru_cache(maxsize=4)
 def _weights(shape: tuple[int, ...]) -> list[Array]:
     """(RESAMPLES, n) for each axis: how often each of its n entries is drawn."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
     return [
-        rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(float) if n > 1 else np.ones((RESAMPLES, 1))
+        rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAP_RESAMPLES).astype(float)
+        if n > 1
+        else np.ones((BOOTSTRAP_RESAMPLES, 1))
         for n in shape
     ]
 

@@ -19,7 +19,7 @@ DRIVER = 75.0
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
 
-MASSES, WHEELBASES = kernel.MASSES, kernel.WHEELBASES
+DATA_SHEET_MASSES, DATA_SHEET_WHEELBASES = kernel.MASSES, kernel.WHEELBASES
 """kg, m: beyond these the measurements say nothing."""
 BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
@@ -33,8 +33,8 @@ _MEASURED = Hint("the estimates are of such cars; of another, give all six numbe
 @checked
 def vehicle_from_data_sheet(
     name: str,
-    mass: Annotated[Finite, within(*MASSES), "kg", _MEASURED],
-    wheelbase: Annotated[Finite, within(*WHEELBASES), "m", _MEASURED],
+    mass: Annotated[Finite, within(*DATA_SHEET_MASSES), "kg", _MEASURED],
+    wheelbase: Annotated[Finite, within(*DATA_SHEET_WHEELBASES), "m", _MEASURED],
     *,
     load: Annotated[NotNegative, "kg"] = 0.0,
     body_style: str = "car",

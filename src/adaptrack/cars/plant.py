@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.limits import STEPS, check_limit
+from adaptrack.base.limits import MAX_STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.member import MemberFunction
@@ -34,7 +34,7 @@ from adaptrack.core.synthesis import plant as kernel
 
 Array = NDArray[np.float64]
 
-MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
+MOTION_STATES = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
 """The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
 
 
@@ -62,7 +62,7 @@ class Plant(ABC):
     @property
     @abstractmethod
     def state_names(self) -> tuple[str, ...]:
-        """The plant's own states, beginning with `MOTION`."""
+        """The plant's own states, beginning with `MOTION_STATES`."""
 
     @property
     @abstractmethod
@@ -80,7 +80,7 @@ class Plant(ABC):
         What is not said otherwise starts at zero.
         """
         state = np.zeros(len(self.state_names))
-        state[: len(MOTION)] = _vector("motion", motion, len(MOTION))
+        state[: len(MOTION_STATES)] = _vector("motion", motion, len(MOTION_STATES))
         return state
 
     @abstractmethod
@@ -201,7 +201,7 @@ class SingleTrack(_Car):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        return MOTION
+        return MOTION_STATES
 
 
 @final
@@ -224,7 +224,7 @@ class DualTrack(_Car):
     @property
     def state_names(self) -> tuple[str, ...]:
         slips = tuple(f"slip_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
-        return (*MOTION, *slips, "felt_ax", "felt_ay")
+        return (*MOTION_STATES, *slips, "felt_ax", "felt_ay")
 
 
 @final
@@ -235,7 +235,7 @@ class UserPlant(Plant):
 
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
     `CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it may use
-    floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
+    floats, loops, `math` and array elements. x: (n,) beginning with `MOTION_STATES`; u: steering angle of the front
     wheels (rad), longitudinal force requested of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
     front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
     p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not
@@ -258,7 +258,7 @@ class UserPlant(Plant):
     mass: Annotated[Positive, "kg"]
     """with which the driver turns acceleration into force"""
     own_states: tuple[str, ...] = ()
-    """names of the states behind `MOTION`"""
+    """names of the states behind `MOTION_STATES`"""
     start: Callable[[Array], Any] | None = None
     """start(motion) -> the own states in equilibrium with the first six, such as speeds of rolling wheels; None: 0"""
     steps: Count = 20
@@ -306,7 +306,7 @@ class UserPlant(Plant):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        return (*MOTION, *self.own_states)
+        return (*MOTION_STATES, *self.own_states)
 
     @property
     def powertrain(self) -> dict[str, float]:
@@ -319,9 +319,9 @@ class UserPlant(Plant):
     def initial_state(self, motion: ArrayLike) -> Array:
         state = super().initial_state(motion)
         if self.start is not None:
-            own_states = np.asarray(self.start(state[: len(MOTION)].copy()), dtype=np.float64)
+            own_states = np.asarray(self.start(state[: len(MOTION_STATES)].copy()), dtype=np.float64)
             where = f"UserPlant {self.label!r}: start"
-            state[len(MOTION) :] = _vector(where, own_states, len(self.own_states))
+            state[len(MOTION_STATES) :] = _vector(where, own_states, len(self.own_states))
         return state
 
     def packed(self) -> Array:
@@ -400,14 +400,14 @@ def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
     Raises
     ------
     InvalidInput
-        When that is no positive number, or they are more than `limits.STEPS`.
+        When that is no positive number, or they are more than `limits.MAX_STEPS`.
     """
     where = f"Plant {plant.name!r}"
     longest = real(where, "longest_step", plant.longest_step)
     if not longest > 0.0:
         raise InvalidInput(f"{where}: longest_step = {longest!r} s: must be positive.")
     steps = float(period) / longest
-    check_limit(f"{where}: longest_step = {longest:g} s: steps in a control period of {period:g} s", steps, STEPS)
+    check_limit(f"{where}: longest_step = {longest:g} s: steps in a control period of {period:g} s", steps, MAX_STEPS)
     return max(1, math.ceil(steps - 1e-9))
 
 
@@ -453,7 +453,7 @@ def check_plant(
 ) -> None:
     """Test that a plant keeps the contract on which controllers and the loop rely.
 
-    At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
+    At each speed (m/s), on dry friction without wind: the states begin with `MOTION_STATES`; the right-hand side writes
     every entry, finite, without touching its arguments, and answers twice alike, under a force and under a prescribed
     acceleration; position and yaw obey kinematics, eq. (5); at zero steering the vehicle goes straight; steering to the
     left begins a turn to the left; mirrored steering gives the mirrored motion (unless `symmetric` is False: a car may
@@ -468,8 +468,8 @@ def check_plant(
     if isinstance(plant, SteppedPlant):
         _check_stepped(plant, speeds, symmetric, period)
         return
-    if plant.state_names[:6] != MOTION:
-        _break(plant, f"its states must begin with {MOTION}", f"they are {plant.state_names}")
+    if plant.state_names[:6] != MOTION_STATES:
+        _break(plant, f"its states must begin with {MOTION_STATES}", f"they are {plant.state_names}")
     if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
         _break(plant, "packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
     for speed in speeds:

@@ -17,11 +17,11 @@ from adaptrack.core.synthesis.rows import row_of
 
 Array = NDArray[np.float64]
 
-SHAPES, CURVATURES, FRICTIONS = (1.0, 1.99), (-20.0, 0.99), (0.05, 3.0)
+SHAPE_BOUNDS, CURVATURE_BOUNDS, FRICTION_BOUNDS = (1.0, 1.99), (-20.0, 0.99), (0.05, 3.0)
 """Bounds of what is fitted."""
 
 
-class Samples(NamedTuple):
+class TyreSamples(NamedTuple):
     """Lateral forces of one tyre; arrays (n,)."""
 
     slip: Array
@@ -84,7 +84,7 @@ class _Fitted(NamedTuple):
 
 
 _NUMBERS = (
-    _Fitted(*SHAPES, 0.3, ""), _Fitted(*CURVATURES, 1.0, ""), _Fitted(*FRICTIONS, 0.3, ""),
+    _Fitted(*SHAPE_BOUNDS, 0.3, ""), _Fitted(*CURVATURE_BOUNDS, 1.0, ""), _Fitted(*FRICTION_BOUNDS, 0.3, ""),
     _Fitted(0.0, 1.0, 0.1, FREE[0]), _Fitted(0.3, 50.0, 1.0, FREE[1]),
     _Fitted(0.25, 4.0, 0.1, FREE[2]), _Fitted(0.25, 4.0, 0.1, FREE[2]),
     _Fitted(-0.1, 0.1, 0.005, FREE[3]), _Fitted(-0.1, 0.1, 0.005, FREE[3]),
@@ -92,7 +92,7 @@ _NUMBERS = (
 
 
 def fit_law(
-    tyre: Tyre, samples: Samples, friction: float, free: Collection[str] = ()
+    tyre: Tyre, samples: TyreSamples, friction: float, free: Collection[str] = ()
 ) -> tuple[Tyre, float, tuple[float, float]]:
     """The tyre, its friction and the offsets of the slip (rad) that are nearest to samples.
 
@@ -158,7 +158,7 @@ def _changed(tyre: Tyre, x: Array) -> tuple[Tyre, float]:
     return tyre.model_copy(update={name: values[name] for name in _changes(tyre)}), float(x[2])
 
 
-def assess_fit(tyre: Tyre, samples: Samples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:
+def assess_fit(tyre: Tyre, samples: TyreSamples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:
     """How far a tyre is from samples."""
     off = np.abs(lateral_force(tyre, samples.slip, samples.load, friction, samples.rear) - samples.force)
     q = samples.load / tyre.nominal_load

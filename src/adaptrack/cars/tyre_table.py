@@ -20,21 +20,21 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.cars.tyre_fit import Samples, TyreFit, assess_fit, fit_law, lateral_force
+from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law, lateral_force
 from adaptrack.cars.vehicle import Tyre
 
 Array = NDArray[np.float64]
 
 FORCES, LOADS, SLIPS = ("force_front_N", "force_rear_N"), ("load_front_N", "load_rear_N"), ("slip_rad", "slip_deg")
-LEAST_ROWS = 5
+MIN_TABLE_ROWS = 5
 SMALL = 0.5
 """Share of the largest force over load up to which the stiffness is first taken from the slope."""
 LEAST_OFFSET = 5e-4
 """rad, a smaller one is not worth a word."""
-SATURATED = 0.8
+SATURATION_RATIO = 0.8
 """Largest force over stiffness times slip from which on a table says nothing of where its tyre saturates."""
 ASSUMED_FRICTION = 1.0
-APART = 1.1
+LOAD_LEVEL_RATIO = 1.1
 """Ratio of loads from which on they count as several."""
 
 
@@ -69,19 +69,19 @@ def tyre_from_table(
     where = os.fspath(path)
     columns = _columns(where)
     axles = [_axle(where, columns, i, loads) for i in (0, 1)]
-    samples = Samples(
+    samples = TyreSamples(
         np.concatenate([axle.slip for axle in axles]),
         np.concatenate([axle.load for axle in axles]),
         np.concatenate([axle.force for axle in axles]),
         np.concatenate([np.full(axle.slip.size, i == 1) for i, axle in enumerate(axles)]),
     )
-    several = any(axle.load.max() > APART * axle.load.min() for axle in axles)
+    several = any(axle.load.max() > LOAD_LEVEL_RATIO * axle.load.min() for axle in axles)
     start, notes = _begin(axles, name or Path(path).stem, several), []
     if not several:
         notes.append("One load for each axle: the stiffness does not depend on the load.")
     peak, free = float((np.abs(samples.force) / samples.load).max()), ["stiffness", "offsets"]
     free += ["load ratio"] if several else []
-    free += ["load sensitivity"] if samples.load.max() > APART * samples.load.min() else []
+    free += ["load sensitivity"] if samples.load.max() > LOAD_LEVEL_RATIO * samples.load.min() else []
     tyre, friction, offsets = fit_law(start, samples, peak, free)
     for axle_name, offset in zip(("front", "rear"), offsets, strict=True):
         if abs(offset) > LEAST_OFFSET:
@@ -156,10 +156,10 @@ def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, flo
         )
     else:
         load = np.full(slip.size, float(loads[i]))
-    if slip.size < LEAST_ROWS or np.ptp(slip) < 0.01:
+    if slip.size < MIN_TABLE_ROWS or np.ptp(slip) < 0.01:
         raise ConfigError(
             f"{source}: {FORCES[i]}: {slip.size} rows over {np.ptp(slip) if slip.size else 0.0:.3g} rad; needs at "
-            f"least {LEAST_ROWS} over 0.01 rad."
+            f"least {MIN_TABLE_ROWS} over 0.01 rad."
         )
     if not (load > 0.0).all():
         raise ConfigError(f"{source}: {LOADS[i]}: every load must be positive.")
@@ -175,11 +175,11 @@ def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, flo
     return _Axle(slip, force, load)
 
 
-def _saturates(tyre: Tyre, samples: Samples) -> bool:
+def _saturates(tyre: Tyre, samples: TyreSamples) -> bool:
     """Whether the forces at large slips tell where the tyre ends."""
     slip, endless = np.abs(samples.slip), tyre.model_copy(update={"kind": "linear"})
     linear = lateral_force(endless, slip, samples.load, 1.0, samples.rear)
-    return bool((np.abs(samples.force) < SATURATED * linear)[slip > 0.5 * slip.max()].any())
+    return bool((np.abs(samples.force) < SATURATION_RATIO * linear)[slip > 0.5 * slip.max()].any())
 
 
 def _begin(axles: list[_Axle], name: str, several: bool) -> Tyre:

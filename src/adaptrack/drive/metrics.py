@@ -21,7 +21,7 @@ from adaptrack.base.shown import html_of
 from adaptrack.cars.outline import Outline
 from adaptrack.control.controllers.learned import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
-from adaptrack.drive.failure import SLOW, Failure, find_failure, state_is_finite
+from adaptrack.drive.failure import MIN_JUDGED_SPEED, Failure, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
 from adaptrack.drive.signal_statistics import (
     largest_known,
@@ -190,7 +190,7 @@ def compute_metrics(
 
     with np.errstate(invalid="ignore", over="ignore"):
         error = trajectory.error if state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
-        heading_error = trajectory.heading_error[~(trajectory.vx < SLOW)]  # NaN speeds stay in
+        heading_error = trajectory.heading_error[~(trajectory.vx < MIN_JUDGED_SPEED)]  # NaN speeds stay in
         jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
     mse = mean_square(error)
     activity = mean_square(trajectory.command_change)
@@ -340,7 +340,7 @@ def path_metrics(
         Angle of the steering wheel over that of the road wheels, by default `STEERING_RATIO`.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        heading = record.wrapped_heading_error[~(record.speed < SLOW)]  # NaN speeds stay in
+        heading = record.wrapped_heading_error[~(record.speed < MIN_JUDGED_SPEED)]  # NaN speeds stay in
         jerk = np.diff(record.lateral_acceleration) / np.diff(record.t)
         command = np.asarray(record.command)
         command_rate = np.diff(command) / np.diff(record.t)
@@ -419,7 +419,7 @@ class Published:
     """m², by controller."""
 
 
-PUBLISHED = {
+PAPER_MSE = {
     "triple-lane-change": Published(28.0, {"standard": 0.0318, "nn": 0.0051, "anfis": 0.0062}),
     "general-trajectory": Published(200.0, {"standard": 0.5896, "nn": 0.132, "anfis": 0.1349}),
 }
@@ -433,7 +433,7 @@ def published_mse(trajectory: Trajectory) -> float | None:
     are read from `Trajectory.meta`; ``NN-MPC`` means the controller ``nn``, and words in brackets do not count.
     """
     meta = trajectory.meta
-    published = PUBLISHED.get(trajectory.name_of("scenario"))
+    published = PAPER_MSE.get(trajectory.name_of("scenario"))
     if published is None or meta.get("profile") != "paper" or meta.get("preview"):
         return None
     if not math.isclose(trajectory.duration, published.duration, abs_tol=1.5 * trajectory.period):

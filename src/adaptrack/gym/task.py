@@ -167,8 +167,8 @@ class Task:
         vehicle = getattr(car, "vehicle", None)
         if not isinstance(car, Plant | SteppedPlant) or not isinstance(vehicle, Vehicle):
             raise InvalidInput(
-                f"car = {format_value(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, such "
-                "as UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
+                f"car = {format_value(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, "
+                "such as UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
             )
         return vehicle, car, self.world
 

@@ -22,9 +22,9 @@ from adaptrack.identification.quantities import degrees_per_g
 
 Array = NDArray[np.float64]
 
-FARTHEST = 3.0
+MAX_PRIOR_DEVIATIONS = 3.0
 """Standard deviations of the prior, beyond which an estimate is not of such a car."""
-LEVEL = 0.01
+FALSE_ALARM_RATE = 0.01
 """Of a false alarm over all quantities that are compared (Bonferroni)."""
 MODEL_ERRORS: Mapping[str, float] = {
     "delay": 0.015, "lag": 0.03, "dead_time": 0.03, "understeer_gradient": 0.0003, "front": 0.12, "rear": 0.12,
@@ -33,9 +33,9 @@ MODEL_ERRORS: Mapping[str, float] = {
 """Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to
 each: delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
 _ABSOLUTE = ("delay", "lag", "dead_time", "understeer_gradient")
-INFORMED = 0.8
+MAX_SPREAD_LEFT = 0.8
 """Share of the prior's spread that must at most be left where a stretch or log has a say."""
-AXLE_PLACE, GRADIENTS, STIFFNESS = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
+AXLE_PLACE_RANGE, UNDERSTEER_RANGE, AXLE_STIFFNESS_RANGE = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
 """Of cars on four wheels: l_f over the wheelbase; understeer gradient, deg/g; cornering stiffness of an axle over its
 load, 1/rad."""
 
@@ -51,7 +51,7 @@ def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> li
     """Estimates that lie outside what was believed, or what any car has, in words."""
     messages = []
     for estimate in estimates.values():
-        if abs(estimate.shift) > FARTHEST and not estimate.name.startswith(("noise", "gyro")):
+        if abs(estimate.shift) > MAX_PRIOR_DEVIATIONS and not estimate.name.startswith(("noise", "gyro")):
             messages.append(
                 f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
                 f"standard deviations from what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
@@ -65,10 +65,10 @@ def _unphysical_quantities(estimates: Mapping[str, Estimate], car: Vehicle) -> l
     lr = max(wheelbase - lf, 1e-3)
     load = car.mass * GRAVITY / wheelbase
     rows = (
-        ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE),
-        ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), GRADIENTS),
-        ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), STIFFNESS),
-        ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), STIFFNESS),
+        ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE_RANGE),
+        ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), UNDERSTEER_RANGE),
+        ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), AXLE_STIFFNESS_RANGE),
+        ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), AXLE_STIFFNESS_RANGE),
     )
     return [
         f"{label} {scale * estimates[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
@@ -102,19 +102,20 @@ def contradictions(subject: str, names: Sequence[str], prior: Moments, statement
             error /= math.exp(float(np.mean(values)))
         weights = 1.0 / (variances + error**2)
         scatter = float(np.sum(weights * (values - np.sum(weights * values) / weights.sum()) ** 2))
-        if chi2.sf(scatter, values.size - 1) < LEVEL / len(tests):
+        freedom, rate = values.size - 1, FALSE_ALARM_RATE / len(tests)
+        if chi2.sf(scatter, freedom) < rate:
             numbers = ", ".join(_written(name, value) for value in values)
             messages.append(
-                f"{subject} contradict each other on {name}: {numbers} (chi-square {scatter:.0f} with "
-                f"{values.size - 1} degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by "
-                f"chance in {100 * LEVEL:g} % of logs)"
+                f"{subject} contradict each other on {name}: {numbers} (chi-square {scatter:.0f} "
+                f"with {freedom} degrees of freedom; {chi2.isf(rate, freedom):.0f} is met by chance in "
+                f"{100 * FALSE_ALARM_RATE:g} % of logs)"
             )
     return messages
 
 
 def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:
     """Mean and variance of what was said without the prior; an infinite variance where next to nothing was."""
-    if not 0.0 < variance < INFORMED**2 * prior_variance:
+    if not 0.0 < variance < MAX_SPREAD_LEFT**2 * prior_variance:
         return mean, math.inf
     precision = 1.0 / variance - 1.0 / prior_variance
     return (mean / variance - prior / prior_variance) / precision, 1.0 / precision

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
-BLOCK, EVERY = 10.0, 4
+VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
@@ -447,7 +447,9 @@ def _validated(
     likelihood: Likelihood, z: Array, log: Log, car: Vehicle, beliefs: Mapping[str, Prior]
 ) -> tuple[Validation, Series]:
     """A second fit without every fourth stretch, which predicts them."""
-    is_held_out = np.floor((log.time - log.time[0]) / BLOCK).astype(np.int64) % EVERY == EVERY - 1
+    is_held_out = (
+        np.floor((log.time - log.time[0]) / VALIDATION_BLOCK).astype(np.int64) % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+    )
 
     def errors(at: Array, used: Array) -> tuple[Array, Array]:
         fold = Likelihood(log, car, beliefs, used)

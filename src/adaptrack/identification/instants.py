@@ -67,7 +67,7 @@ class ReadLog:
         gone: dict[str, Any] = {name: blank for name in names if name in ("vy", "acceleration", "wheel", "yaw")}
         return replace(self, columns=replace(self.columns, values=remaining), log=replace(self.log, **gone))
 
-    def segments(self, period: float, path: Road | None) -> Iterator[Samples]:
+    def segments(self, period: float, path: Road | None) -> Iterator[InstantSamples]:
         """Each piece between gaps and halts at the control instants."""
         log, first = self.log, np.flatnonzero(self.log.begins)
         raw = [self.columns.values.get(name, np.zeros(0)) for name in ("time", "x", "y")]
@@ -84,7 +84,7 @@ class ReadLog:
                 measured[:, getattr(MEASURED, name)] = values
             command = log.command[i:j][np.searchsorted(t, grid + ON_GRID * period, side="right") - 1]
             before = self.before if i == 0 and self.before is not None else float(command[0])
-            samples = Samples(grid, speed, command, before, measured)
+            samples = InstantSamples(grid, speed, command, before, measured)
             if raw[1].size and raw[2].size:
                 x, y = (_sample_at(grid, raw[0], values, period) for values in raw[1:])
                 samples = samples.along(_smoothed_path(x, y, speed) if path is None else path, (x, y, yaw))
@@ -127,7 +127,7 @@ def _smoothed_path(x: Array, y: Array, speed: Array) -> Road | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class InstantSamples:
     """n control instants in a row."""
 
     time: Array
@@ -142,7 +142,7 @@ class Samples:
     station: Array | None = None
     """(n,) m, of the feet on the path"""
 
-    def along(self, path: Road | None, place: tuple[Array, Array, Array]) -> Samples:
+    def along(self, path: Road | None, place: tuple[Array, Array, Array]) -> InstantSamples:
         """Return a copy with the path added; place: x, y (m), yaw (rad), (n,) each."""
         x, y, yaw = place
         begin = int(np.argmax(np.isfinite(x + y)))

@@ -26,8 +26,8 @@ from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SH
 
 Array = NDArray[np.float64]
 
-OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
-STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
+MEASURED_OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
+DIFFERENCE_STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
 """Of the differences, in spreads; iterations; fall of the objective at which they end, and nearly."""
 SETTLING = 1.0
 """s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
@@ -51,7 +51,7 @@ class Likelihood:
         self.median = np.array([beliefs[quantity.name].median for quantity in QUANTITIES])
         self.spread = np.array([beliefs[quantity.name].spread for quantity in QUANTITIES])
         rows = np.zeros((len(kernel.ROW), log.samples))
-        for name in ("time", "command", "speed", *OUTPUTS):
+        for name in ("time", "command", "speed", *MEASURED_OUTPUTS):
             rows[kernel.ROW._fields.index(name)] = getattr(log, name)
         if not log.commanded:
             rows[kernel.ROW.command] = _smoothed(log)
@@ -60,11 +60,11 @@ class Likelihood:
         self._rows = rows
         self._answer = np.empty((kernel.ANSWER, log.samples))
         rows[kernel.ROW.gusts] = 1.0
-        present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
-        self.present = {name: bool(is_present) for name, is_present in zip(OUTPUTS, present, strict=True)}
+        present = np.array([np.isfinite(getattr(log, name)).any() for name in MEASURED_OUTPUTS])
+        self.present = {name: bool(is_present) for name, is_present in zip(MEASURED_OUTPUTS, present, strict=True)}
         settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
         counts = (rows[kernel.ROW.used] > 0.0) & (settled >= SETTLING)
-        measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(OUTPUTS)])
+        measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(MEASURED_OUTPUTS)])
         self.counts = measured & counts
         self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())
 
@@ -108,14 +108,16 @@ class Likelihood:
         return np.array([values_by_name[name] for name in self._kernel.Quantities._fields])
 
     def innovations(self, z: Array) -> tuple[Array, Array]:
-        """All innovations and variances, each (len(OUTPUTS), n), NaN where nothing is measured."""
+        """All innovations and variances, each (len(MEASURED_OUTPUTS), n), NaN where nothing is measured."""
         self._kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
-        return self._answer[: len(OUTPUTS)].copy(), self._answer[len(OUTPUTS) : 2 * len(OUTPUTS)].copy()
+        return self._answer[: len(MEASURED_OUTPUTS)].copy(), self._answer[
+            len(MEASURED_OUTPUTS) : 2 * len(MEASURED_OUTPUTS)
+        ].copy()
 
     def filter_results(self, z: Array) -> dict[str, Array]:
         """Filter results at each sample, by the names of the kernel's `FOUND`."""
         self.innovations(z)
-        return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(OUTPUTS) :].copy(), strict=True))
+        return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(MEASURED_OUTPUTS) :].copy(), strict=True))
 
     def take_gusts(self, other: Likelihood) -> None:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
@@ -153,7 +155,7 @@ class Likelihood:
         """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
         begins = self.log.begins[rows].copy()
         begins[0] = True
-        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
+        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *MEASURED_OUTPUTS)}
         part = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
         part._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
         return part
@@ -173,9 +175,9 @@ class Likelihood:
         de, ds = np.empty((self.free.size, e.size)), np.empty((self.free.size, e.size))
         for i, place in enumerate(self.free):
             there = z.copy()
-            there[place] += STEP
+            there[place] += DIFFERENCE_STEP
             e_up, s_up = self.counted(there)
-            de[i], ds[i] = (e_up - e) / STEP, (s_up - s) / STEP
+            de[i], ds[i] = (e_up - e) / DIFFERENCE_STEP, (s_up - s) / DIFFERENCE_STEP
         with np.errstate(all="ignore"):  # what comes of it is looked at
             scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
             by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)

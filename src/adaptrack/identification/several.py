@@ -22,7 +22,18 @@ from adaptrack.identification.quantities import QUANTITIES
 
 Array = NDArray[np.float64]
 
-OF_THE_CAR = ("delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation")
+CAR_QUANTITIES = (
+    "delay",
+    "lag_share",
+    "rate",
+    "gain",
+    "front",
+    "rear",
+    "mass",
+    "yaw_inertia",
+    "front_share",
+    "relaxation",
+)
 """Quantities that logs of one car share."""
 
 
@@ -39,7 +50,7 @@ class Fitted(Protocol):
 
 def shared_by(likelihood: Likelihood) -> list[int]:
     """Entries of z that belong to the car and are free."""
-    return [int(i) for i in likelihood.free if QUANTITIES[i].name in OF_THE_CAR]
+    return [int(i) for i in likelihood.free if QUANTITIES[i].name in CAR_QUANTITIES]
 
 
 def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
@@ -55,7 +66,7 @@ def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
 
 def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
     """Posteriors wider by the scatter of the logs' means."""
-    means = np.full((len(fits), len(OF_THE_CAR)), np.nan)
+    means = np.full((len(fits), len(CAR_QUANTITIES)), np.nan)
     for row, fit in zip(means, fits, strict=True):
         rows, places = _places(fit.likelihood)
         row[places] = fit.z[fit.likelihood.free][rows]
@@ -74,15 +85,15 @@ def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
 
 
 def _places(likelihood: Likelihood) -> tuple[list[int], list[int]]:
-    """Rows of the shared entries among the free ones, and among `OF_THE_CAR`."""
+    """Rows of the shared entries among the free ones, and among `CAR_QUANTITIES`."""
     shared = shared_by(likelihood)
     names = [QUANTITIES[i].name for i in shared]
-    return list(np.searchsorted(likelihood.free, shared)), [OF_THE_CAR.index(name) for name in names]
+    return list(np.searchsorted(likelihood.free, shared)), [CAR_QUANTITIES.index(name) for name in names]
 
 
 def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Mean and information of `OF_THE_CAR` given all logs."""
-    information, toward = np.eye(len(OF_THE_CAR)), np.zeros(len(OF_THE_CAR))
+    """Mean and information of `CAR_QUANTITIES` given all logs."""
+    information, toward = np.eye(len(CAR_QUANTITIES)), np.zeros(len(CAR_QUANTITIES))
     for fit, (z, covariance) in zip(fits, posteriors, strict=True):
         rows, places = _places(fit.likelihood)
         precision = np.linalg.inv(covariance[np.ix_(rows, rows)])

@@ -2,7 +2,7 @@
 
 At every control instant they are given what the log measured, and its command (or, without one, the measured wheel
 angle) as the one applied. What they predict (`observing`) is compared with what came; intervals are those of a
-bootstrap over blocks of `BLOCK`.
+bootstrap over blocks of `INTERVAL_BLOCK`.
 """
 
 from __future__ import annotations
@@ -32,10 +32,17 @@ from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.conventions import check_conventions, check_positions
-from adaptrack.identification.instants import LogSource, ReadLog, Samples
+from adaptrack.identification.instants import InstantSamples, LogSource, ReadLog
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading
-from adaptrack.identification.shadow_predictions import LEFT_OUT, PREDICTORS, QUANTITIES, Observer, Predicted, predicted
+from adaptrack.identification.shadow_predictions import (
+    LEFT_OUT,
+    PREDICTED_QUANTITIES,
+    PREDICTORS,
+    Observer,
+    Predicted,
+    predicted,
+)
 from adaptrack.road import Road, load_road
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
@@ -43,22 +50,27 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-BLOCK = 10.0
+INTERVAL_BLOCK = 10.0
 """s, of the blocks from which intervals are drawn."""
-FASTEST = 2.0 / 3.0
+FAST_STEERING_QUANTILE = 2.0 / 3.0
 """Quantile of the mean steering rate within a prediction above which its steering is in the fastest third."""
-PREVIEW = 4.0
+SHADOW_PREVIEW = 4.0
 """s, of the road ahead that the controller is shown."""
 LEAST_SPAN, IN_THE_END = 1.0, 10.0
 """s, of what is warned of; s, the end of a log, whose belief is judged."""
-CONTRADICTED = 0.1
+MAX_CONTRADICTED_SHARE = 0.1
 """Share of the end in which a contradiction makes the belief doubtful: it passes as the belief becomes less certain."""
 STILL_OPEN = 0.5
 """Share of the first standard deviation of the delay above which the log has report little of it."""
 WORSE = 1.1
 """Times the error of a simpler predictor, with 95 %, from which what was learned is doubted."""
 SIMPLER = {"held": "the yaw rate held", "first": "the first belief", "steady": "the steady turn"}
-OPTIONAL: tuple[tuple[str, ...], ...] = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
+OMITTABLE_SIGNALS: tuple[tuple[str, ...], ...] = (
+    ("vy",),
+    ("x", "y", "yaw"),
+    ("vy", "x", "y", "yaw"),
+    ("acceleration",),
+)
 """Signals without which the logs are gone through again where the learned model is not best, or is doubted;"""
 SPOILT = 0.9
 """they are named where fewer logs are doubted, or the error is below so many times that with them."""
@@ -200,7 +212,7 @@ def shadow(
     read = [ReadLog.of(source, vehicle, reading or Reading()) for source in sources]
     if not read:
         raise InvalidInput("shadow: give one log at least.")
-    removable = sorted({name for names in OPTIONAL for name in names} | {"wheel"})
+    removable = sorted({name for names in OMITTABLE_SIGNALS for name in names} | {"wheel"})
     for name in without:
         if name not in removable:
             raise InvalidInput(
@@ -245,7 +257,7 @@ def _is_best(log: ShadowLog) -> bool:
 def _spoiling(
     read: Sequence[ReadLog], road: Road | None, mpc: MPC, shadow_logs: Sequence[ShadowLog], show: ProgressCall
 ) -> tuple[str, ...]:  # fmt: skip
-    """The signals of `OPTIONAL` without which fewer logs are doubted, or the learned model errs less; none: no such."""
+    """Return the `OMITTABLE_SIGNALS` without which fewer logs are doubted, or the learned model errs less."""
 
     def amiss(logs: Sequence[ShadowLog]) -> tuple[int, float]:
         compared = [log.of("yaw_rate", TIMES[-1]) for log in logs]
@@ -254,7 +266,7 @@ def _spoiling(
 
     doubted, error = amiss(shadow_logs)
     best: tuple[str, ...] = ()
-    for names in OPTIONAL:
+    for names in OMITTABLE_SIGNALS:
         if all(read_log.has_signal(name) for read_log in read for name in names):
             fewer, left = amiss(_all(read, road, mpc, names, show))
             if (fewer < doubted and left < error / SPOILT) or (fewer <= doubted and left < SPOILT * error):
@@ -276,7 +288,7 @@ def _gone_through(
         beliefs, ours, first, proposed = _watched(samples, observers, tell)
         gone.append(
             {"time": samples.time, "command": samples.command, "proposed": proposed, "left out": ours[:, LEFT_OUT]}
-            | {name: samples.measured[:, getattr(MEASURED, name)] for name in QUANTITIES}
+            | {name: samples.measured[:, getattr(MEASURED, name)] for name in PREDICTED_QUANTITIES}
             | dict(zip(kernel.BELIEFS, beliefs.T, strict=True))
             | predicted(samples, ours, first, mpc, tell)
         )
@@ -297,12 +309,12 @@ def _tell(report: Callable[[int, int], None], previous: int, current: int, total
 
 
 def _watched(
-    samples: Samples, observers: tuple[Observer, Observer, MPC], tell: Callable[[float], None]
+    samples: InstantSamples, observers: tuple[Observer, Observer, MPC], tell: Callable[[float], None]
 ) -> tuple[Array, Array, Array, Array]:
     """Go through a segment's instants: beliefs, `Observer.state_row` of both (n, .), the controller's commands (n,)."""
     ours, first, mpc = observers
     applied, rows, horizon = samples.before, [], mpc.tuning.Np * mpc.period
-    preview = round(PREVIEW / mpc.period)
+    preview = round(SHADOW_PREVIEW / mpc.period)
     for k, speed in enumerate(samples.speed.tolist()):
         measured, proposed = samples.measured[k], math.nan
         ours.take(speed, measured, applied)
@@ -328,7 +340,7 @@ def _summarise_log(
     ours, first, mpc = observers
     time = records["time"] - read.log.time[0]
     expected = {key: values for key, values in records.items() if isinstance(key, tuple)}
-    measured = {name: records[name] for name in QUANTITIES}
+    measured = {name: records[name] for name in PREDICTED_QUANTITIES}
     predictions = tuple(_compared(time, records["command"], measured, expected, mpc.period))
     bounds = _at_bounds(records)
     contradictory = {"the belief fits no car within its ranges": records["belief_state"] == BeliefState.CONTRADICTORY}
@@ -339,7 +351,7 @@ def _summarise_log(
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
     doubts = [contradiction.what for contradiction in contradictions] + _lasting_messages(
-        contradictory, late, CONTRADICTED
+        contradictory, late, MAX_CONTRADICTED_SHARE
     )
     doubts += _lasting_messages(silent, np.ones_like(late), 0.5)
     better = {
@@ -375,7 +387,7 @@ def _compared(
 ) -> Iterator[Prediction]:
     """RMS errors of the predictors, where all of them predicted what was measured."""
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(command, prepend=command[:1])))])
-    block = (time // BLOCK).astype(np.int64)
+    block = (time // INTERVAL_BLOCK).astype(np.int64)
     for quantity, value in measured.items():
         for ahead in TIMES:
             squared = np.array([expected[name, quantity, ahead] - value for name in PREDICTORS]) ** 2
@@ -383,7 +395,7 @@ def _compared(
             if np.unique(block[there]).size < 2:
                 continue
             steered = turned[1:] - turned[np.maximum(np.arange(time.size) + 1 - round(ahead / period), 0)]
-            fastest = there & (steered >= np.quantile(steered[there], FASTEST))
+            fastest = there & (steered >= np.quantile(steered[there], FAST_STEERING_QUANTILE))
             for part, chosen in (("all", there), ("fastest", fastest)):
                 for predictor, (rms, ours) in zip(
                     PREDICTORS, block_rms(squared[:, chosen], block[chosen]), strict=True

@@ -26,16 +26,16 @@ from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.core.models.path import STATES, discretise_disturbed
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.instants import Samples
+from adaptrack.identification.instants import InstantSamples
 
 Array = NDArray[np.float64]
-Places = NDArray[np.int64]
+InstantIndices = NDArray[np.int64]
 Predicted = dict[tuple[str, str, float], Array]
 """(predictor, quantity, s ahead) -> (n,), at the instants that it is for; NaN where nothing was predicted"""
 
 PREDICTORS = ("learned", "held", "first", "steady")
-QUANTITIES = ("yaw_rate", "y")
-EVERY = 0.1
+PREDICTED_QUANTITIES = ("yaw_rate", "y")
+PREDICTION_SPACING = 0.1
 """s, at least, between the instants from which is predicted."""
 _STATE, _N = kalman.STATE, len(kalman.STATE)
 _MODEL = slice(_N + 1, _N + 8)
@@ -86,20 +86,24 @@ class Observer:
         return np.array([*m.z, m.saturation, *self.car, p.whole, p.share, p.bias, m.left_out])
 
 
-def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
-    """From every `EVERY` s of a segment; ours, first: (n, .) of `Observer.state_row`, with and without learning.
+def predicted(samples: InstantSamples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
+    """Predict from every `PREDICTION_SPACING` s of a segment.
 
-    tell: takes the share of the work on the segment that is done, of which this is the second half.
+    ours, first: (n, .) of `Observer.state_row`, with and without learning; tell: takes the share of the work on
+    the segment that is done, of which this is the second half.
     """
     n, period, steps = samples.time.size, mpc.period, {round(ahead / mpc.period): ahead for ahead in TIMES}
-    start = np.arange(0, max(n - max(steps), 0), math.ceil(EVERY / period - 1e-6))
+    start = np.arange(0, max(n - max(steps), 0), math.ceil(PREDICTION_SPACING / period - 1e-6))
     starts = {"learned": ours[start], "first": first[start]}
     z = {name: starts["learned" if name in ("learned", "held") else "first"][:, :_N].copy() for name in PREDICTORS}
     for name, observed in starts.items():
         z[name][:, _STATE.side] += observed[:, _N]  # what tyres pull less in the bend at hand
     z["steady"][:, _STATE.offset] = 0.0
     predictions = {
-        (name, quantity, ahead): np.full(n, math.nan) for name in z for quantity in QUANTITIES for ahead in TIMES
+        (name, quantity, ahead): np.full(n, math.nan)
+        for name in z
+        for quantity in PREDICTED_QUANTITIES
+        for ahead in TIMES
     }
     for j in range(max(steps)):
         tell(0.5 + 0.5 * j / max(steps))
@@ -115,7 +119,7 @@ def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Calla
     return predictions
 
 
-def _roll(z: Array, samples: Samples, k: Places, rows: Array, period: float) -> None:
+def _roll(z: Array, samples: InstantSamples, k: InstantIndices, rows: Array, period: float) -> None:
     """Move states z (m, .) from the instants k (m,) on by a period, with the commands that act behind the dead time."""
     f, b, u = np.zeros((k.size, STATES, _N)), np.zeros((k.size, _N)), samples.command
     for i, speed in enumerate(samples.speed[k].tolist()):
@@ -128,7 +132,7 @@ def _roll(z: Array, samples: Samples, k: Places, rows: Array, period: float) -> 
     z[:, _STATE.y] -= 0.5 * samples.speed[k] * period * turned
 
 
-def _carry(z: Array, samples: Samples, k: Places, period: float) -> None:
+def _carry(z: Array, samples: InstantSamples, k: InstantIndices, period: float) -> None:
     """Move heading and offset alone on by a period, with the lateral velocity and the yaw rate in z."""
     turned = period * z[:, _STATE.yaw_rate] - samples.measured[k + 1, MEASURED.turned]
     z[:, _STATE.y] += period * (z[:, _STATE.vy] + samples.speed[k] * (z[:, _STATE.yaw] + 0.5 * turned))

@@ -109,12 +109,13 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
 
 NO_LIMIT = 1000.0
 """m/s, the speed limit where none is posted."""
-ALONG = ("width_left", "width_right", "speed_limit", "friction", "bank")
+ALONG_QUANTITIES = ("width_left", "width_right", "speed_limit", "friction", "bank")
 """What lies along a road."""
 
 
 def alongs(values: dict[str, Any]) -> dict[str, Any]:
     """The values with every quantity along the road as an `Along`."""
     return {
-        name: as_along(name, value) if name in ALONG and value is not None else value for name, value in values.items()
+        name: as_along(name, value) if name in ALONG_QUANTITIES and value is not None else value
+        for name, value in values.items()
     }

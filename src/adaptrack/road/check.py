@@ -17,7 +17,7 @@ from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.speed import FLAT, SpeedPlan, unlimited
 
-SPACING = 0.5
+CHECK_SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""
 SPEAKING_JUMP = 1e-3
 """1/m, from which on a jump of curvature is reported: 3 mrad at the wheels of a car."""
@@ -32,14 +32,14 @@ SLOWED, FELT = 0.9, 0.25
 """Times the speed that the line without ripple allows, below which a plan is slowed; and the share of what is allowed
 sideways that a swing must ask for."""
 
-Kind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump", "ripple", "domain"]
+FindingKind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump", "ripple", "domain"]
 
 
 @dataclass(frozen=True)
 class Finding:
     """Something about a road that a car, or its driver, must know."""
 
-    kind: Kind
+    kind: FindingKind
     start: float
     """Start station (m)."""
     end: float
@@ -93,7 +93,7 @@ class _Places:
     """The road at many places; where the shape changes, on both sides."""
 
     def __init__(self, road: Road, speed: SpeedPlan | float | None) -> None:
-        even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
+        even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / CHECK_SPACING)) + 1)
         joints = road.table.start
         s = np.concatenate([even, joints[:-1], joints[1:]])
         sides = np.concatenate([np.ones(even.size), np.ones(joints.size - 1), -np.ones(joints.size - 1)])
@@ -218,7 +218,7 @@ def _domain(places: _Places, car: Vehicle) -> Iterator[Finding]:
 
 def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     """Where the curvature swings to and fro, moves the line by no more than noise would, and slows the plan."""
-    s = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
+    s = np.linspace(0.0, road.length, max(2, math.ceil(road.length / CHECK_SPACING)) + 1)
     heading, curvature = road.at(s)[2:]
     moving = np.flatnonzero(np.abs(np.diff(curvature)) > FLAT)
     turns = moving[1:][np.diff(np.sign(np.diff(curvature)[moving])) != 0.0]  # from one extremum to the next a swing
@@ -247,7 +247,7 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
 
 
 def _finding(
-    places: _Places, stretch: slice, kind: Kind, value: float, limit: float, drivable: bool, text: str
+    places: _Places, stretch: slice, kind: FindingKind, value: float, limit: float, drivable: bool, text: str
 ) -> Finding:
     s = places.s[stretch]
     return Finding(kind, float(s[0]), float(s[-1]), float(value), float(limit), text, drivable)

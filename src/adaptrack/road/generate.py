@@ -26,7 +26,7 @@ from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, heading_in
 Element = Line | Arc | Clothoid
 
 
-class Kind(NamedTuple):
+class RoadKind(NamedTuple):
     """Recipe of a kind of road; ranges (least, most) of radii and lengths are drawn on a logarithmic scale."""
 
     speed: float
@@ -51,25 +51,27 @@ class Kind(NamedTuple):
     """m, of the lane"""
 
 
-KINDS = {
-    "motorway": Kind(36.0, (900.0, 4000.0), (0.1, 0.6), (150.0, 1200.0), acceleration=1.5, jerk=0.5, half_width=1.875),
-    "country": Kind(25.0, (120.0, 700.0), (0.2, 1.3), (40.0, 500.0), half_width=1.75),
-    "town": Kind(
+ROAD_KINDS = {
+    "motorway": RoadKind(
+        36.0, (900.0, 4000.0), (0.1, 0.6), (150.0, 1200.0), acceleration=1.5, jerk=0.5, half_width=1.875
+    ),
+    "country": RoadKind(25.0, (120.0, 700.0), (0.2, 1.3), (40.0, 500.0), half_width=1.75),
+    "town": RoadKind(
         13.9, (40.0, 200.0), (0.1, 0.5), (40.0, 200.0), tight=0.6, tight_radius=(9.0, 16.0),
         tight_angle=(0.5 * math.pi, 0.5 * math.pi), jerk=2.0, half_width=1.625,
     ),
-    "mountain": Kind(
+    "mountain": RoadKind(
         16.7, (30.0, 130.0), (0.3, 1.5), (15.0, 120.0), tight=0.25, tight_radius=(10.0, 15.0),
         tight_angle=(2.6, 3.3), acceleration=3.5, jerk=1.5, half_width=1.75,
     ),
-    "lap": Kind(
+    "lap": RoadKind(
         25.0, (60.0, 200.0), (0.3, 0.9), (10.0, 80.0), tight_radius=(15.0, 15.0), tight_angle=(math.pi, math.pi),
         acceleration=4.0, jerk=2.0, half_width=3.0,
     ),
 }  # fmt: skip
 """The kinds of roads that can be generated. A lap is closed: two hairpins of 15 m and weaving between them."""
 
-LONGEST = 100_000.0
+MAX_GENERATED_LENGTH = 100_000.0
 """m"""
 ATTEMPTS = 100
 """Draws from which the first road that keeps off itself is taken."""
@@ -77,13 +79,16 @@ DRAWN_WHOLE = 5_000.0
 """m, up to which open roads are drawn whole."""
 TRIES, DRAWS = 12, 50_000
 """Bends that are drawn for one place before the last ones are given up, and in all."""
-APART = 4.0
+MIN_CLEARANCE = 4.0
 """Least distance between parts of a road, in half widths of its lane, where they are not neighbours."""
 
 
 @checked
 def generate_road(
-    kind: str, seed: Natural = 0, length: Annotated[Finite, within(100.0, LONGEST), "m"] = 2000.0, **along: Any
+    kind: str,
+    seed: Natural = 0,
+    length: Annotated[Finite, within(100.0, MAX_GENERATED_LENGTH), "m"] = 2000.0,
+    **along: Any,
 ) -> Road:
     """A road of a kind: "motorway", "country", "town", "mountain", or "lap" (closed).
 
@@ -106,16 +111,16 @@ def generate_road(
     InvalidInput
         For so long a lap that none was found that keeps off itself.
     """
-    if kind not in KINDS:
-        raise UnknownName(f"no kind of road is named {kind!r}. {did_you_mean(str(kind), KINDS)}")
-    sizes = KINDS[kind]
+    if kind not in ROAD_KINDS:
+        raise UnknownName(f"no kind of road is named {kind!r}. {did_you_mean(str(kind), ROAD_KINDS)}")
+    sizes = ROAD_KINDS[kind]
     values = {"speed_limit": sizes.speed, "width_left": sizes.half_width, "width_right": sizes.half_width} | along
     whole_draws = ATTEMPTS if kind == "lap" or length <= DRAWN_WHOLE else 0
     for attempt in range(whole_draws):
         rng = _random(kind, seed, attempt)
         segments = _lap(rng, sizes, length) if kind == "lap" else _open(rng, sizes, length)
         road = Road.from_segments(segments, closed=kind == "lap", name=f"{kind}-{seed}", **values)
-        if not _touches_itself(road, APART * sizes.half_width):
+        if not _touches_itself(road, MIN_CLEARANCE * sizes.half_width):
             return road
     if kind != "lap":
         grown = _grown(_random(kind, seed, whole_draws), sizes, length)
@@ -128,10 +133,10 @@ def generate_road(
 
 
 def _random(kind: str, seed: int, attempt: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64([list(KINDS).index(kind), seed, attempt]))
+    return np.random.Generator(np.random.PCG64([list(ROAD_KINDS).index(kind), seed, attempt]))
 
 
-def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+def _open(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Element]:
     """Straight lines and bends."""
     elements: list[Element] = [Line(length=_even(rng, kind.straight))]
     distance, heading = elements[0].length, 0.0
@@ -143,7 +148,7 @@ def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
     return elements
 
 
-def _next_bend(rng: np.random.Generator, kind: Kind, heading: float) -> tuple[list[Element], float]:
+def _next_bend(rng: np.random.Generator, kind: RoadKind, heading: float) -> tuple[list[Element], float]:
     """A bend with the straight line behind it, and its angle (rad).
 
     The farther off the road heads (rad), the likelier a bend turns back.
@@ -156,9 +161,9 @@ def _next_bend(rng: np.random.Generator, kind: Kind, heading: float) -> tuple[li
     return [*bend, Line(length=_even(rng, kind.straight))], angle
 
 
-def _grown(rng: np.random.Generator, kind: Kind, length: float) -> list[Element] | None:
+def _grown(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Element] | None:
     """As `_open`, each bend of which keeps off those before it; None when no road is found."""
-    road = _Growing(APART * kind.half_width)
+    road = _Growing(MIN_CLEARANCE * kind.half_width)
     road.accepts([Line(length=_even(rng, kind.straight))])
     failed, given_up, longest = 0, 1, 0.0
     for _ in range(DRAWS):
@@ -237,7 +242,7 @@ class _Growing:
         return _Part(elements, np.concatenate(s), np.concatenate(points), pose)
 
 
-def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+def _lap(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Element]:
     """Half a lap that turns by pi, twice: the second half is the first turned by pi, so the lap is closed.
 
     Each weave turns to one side and back, twice as far to the other side and back; the hairpin is what turns the half.
@@ -252,7 +257,7 @@ def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
     return [*half, *_bend(kind, math.pi, _even(rng, kind.tight_radius))] * 2
 
 
-def _bend(kind: Kind, angle: float, radius: float) -> list[Element]:
+def _bend(kind: RoadKind, angle: float, radius: float) -> list[Element]:
     """Clothoid, arc, clothoid that turn by `angle` (rad); without the arc where the clothoids take all of it."""
     v = min(kind.speed, math.sqrt(kind.acceleration * radius))
     length = min(max(v**3 / (radius * kind.jerk), radius / 9.0), radius)

@@ -18,9 +18,9 @@ from adaptrack.road.segments import Array
 _Axis = Annotated[tuple[float, ...], LISTED, Field(min_length=2)]
 _Row = Annotated[tuple[float, ...], LISTED]
 _Plane = Annotated[tuple[_Row, ...], LISTED]
-SPEEDS = 96
+BEND_SPEEDS = 96
 """Speeds at which a bend is looked at."""
-STEEP = 3.0
+MAX_BRAKING_SLOPE = 3.0
 """By which braking falls with the lateral acceleration where the reserve of the cornering begins."""
 
 
@@ -78,7 +78,7 @@ class HoldableSpeed(Record):
             for dj, wj in ((0, 1.0 - q), (1, q)):
                 for dk, wk in ((0, 1.0 - r), (1, r)):
                     decelerations += wi * wj * wk * self._table[i + di, j + dj, k + dk]
-        return np.minimum(decelerations * mu * GRAVITY, STEEP * (most - self.reserve - a))
+        return np.minimum(decelerations * mu * GRAVITY, MAX_BRAKING_SLOPE * (most - self.reserve - a))
 
     def along(self, curvature: ArrayLike, bank: ArrayLike, friction: ArrayLike) -> tuple[Array, Array]:
         """Squared speeds (m,), and at each of them the deceleration (n, m) that is held at n places.
@@ -86,7 +86,7 @@ class HoldableSpeed(Record):
         curvature: (n,) 1/m; bank: (n,) rad; friction: (n,). No more is held at a higher speed than at a lower one.
         """
         k, tilt, mu = (np.atleast_1d(np.asarray(values, float))[:, None] for values in (curvature, bank, friction))
-        w = np.linspace(0.0, self.speeds[-1], SPEEDS) ** 2
+        w = np.linspace(0.0, self.speeds[-1], BEND_SPEEDS) ** 2
         felt = w * k - GRAVITY * np.sin(tilt)
         return w, np.minimum.accumulate(self.deceleration(np.sqrt(w), felt, mu), axis=1)
 

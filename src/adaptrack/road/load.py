@@ -13,10 +13,10 @@ import numpy as np
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import build, read_toml
-from adaptrack.road.along import ALONG, alongs
+from adaptrack.road.along import ALONG_QUANTITIES, alongs
 from adaptrack.road.commonroad import read_commonroad
 from adaptrack.road.fit import MAX_DEVIATION, fit_road
-from adaptrack.road.generate import KINDS, generate_road
+from adaptrack.road.generate import ROAD_KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.points import road_from_csv
 from adaptrack.road.road import Road
@@ -40,7 +40,7 @@ def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
     """
     where = os.fspath(path)
     file = build(RoadFile, _tuples(read_toml(path)), where)
-    values = {key: getattr(file, key) for key in ALONG if getattr(file, key) is not None}
+    values = {key: getattr(file, key) for key in ALONG_QUANTITIES if getattr(file, key) is not None}
     values |= {"name": file.name or Path(path).stem} | along
     try:
         return _build_road(file, values)
@@ -101,8 +101,8 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     """
     text = os.fspath(name_or_path)
     ending = os.path.splitext(text)[1].lower()
-    if ending not in _READERS and text not in KINDS:
-        suggestion = did_you_mean(text, KINDS)
+    if ending not in _READERS and text not in ROAD_KINDS:
+        suggestion = did_you_mean(text, ROAD_KINDS)
         raise UnknownName(f"no road is named {text!r}. {suggestion} A file ends in {', '.join(_READERS)}.")
     read: Callable[..., Road] = _READERS.get(ending, generate_road)
     for name in options:
@@ -123,7 +123,7 @@ def _check_option(text: str, name: str, read: Callable[..., Road]) -> None:
 
 def _options(read: Callable[..., Road]) -> set[str]:
     """The options of a function that makes a road."""
-    names = set(list(inspect.signature(read).parameters)[1:-1]) | set(ALONG)
+    names = set(list(inspect.signature(read).parameters)[1:-1]) | set(ALONG_QUANTITIES)
     if read in (road_from_csv, read_commonroad):
         names |= set(list(inspect.signature(fit_road).parameters)[1:-1])
     return names if read is generate_road else names | {"name"}

@@ -13,13 +13,13 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.core.path import FEWEST
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
-COLUMNS = {
+POINT_COLUMNS = {
     "x": ("x", "x_m", "pos_x", "x_ref_m"),
     "y": ("y", "y_m", "pos_y", "y_ref_m"),
     "width_right": ("width_right", "w_tr_right_m", "width_right_m"),
@@ -44,7 +44,7 @@ NAME = r"[A-Za-z_\u00c0-\uffff][^\s:=]*(?: [^\s:=]+){0,2}"
 FOREIGN_SPEED = r"km|kph|mph|mile|knot|fps"
 """Parts of the name of a speed column that is not in m/s."""
 
-DEGREES = ("lat", "lon", "latitude", "longitude", "lng")
+DEGREE_COLUMNS = ("lat", "lon", "latitude", "longitude", "lng")
 WITHOUT_HEADER = {2: ("x", "y"), 4: ("x", "y", "width_right", "width_left")}
 """The columns of a file without a header, by their number."""
 
@@ -97,8 +97,8 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     """The points of a CSV file, one per line, in the order in which they are driven; x and y in m.
 
     Cells are separated by ``;``, tabs, ``,`` or blanks; except in files with commas between cells, the decimal mark may
-    be a comma. The first line may be a header (`COLUMNS`), and so may a line behind ``#`` above the numbers whose cells
-    are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
+    be a comma. The first line may be a header (`POINT_COLUMNS`), and so may a line behind ``#`` above the numbers whose
+    cells are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
     columns are x, y and four x, y, width to the right, width to the left. Repeated points are left out.
 
     Parameters
@@ -209,7 +209,7 @@ def _plain(title: str) -> str:
 
 def _column_of(title: str) -> str | None:
     """The quantity that a column's title names."""
-    return next((name for name, titles in COLUMNS.items() if _plain(title) in titles), None)
+    return next((name for name, titles in POINT_COLUMNS.items() if _plain(title) in titles), None)
 
 
 def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
@@ -219,11 +219,11 @@ def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
         if count not in WITHOUT_HEADER or speed_column is not None:
             raise ConfigError(
                 f"{where}: {count} columns without a header; give x,y or x,y,width_right,width_left, or name them: "
-                f"{', '.join(COLUMNS)}."
+                f"{', '.join(POINT_COLUMNS)}."
             )
         return list(WITHOUT_HEADER[count])
     names = [_column_of(title) or "" for title in titles]
-    if {_plain(title) for title in titles} & set(DEGREES):
+    if {_plain(title) for title in titles} & set(DEGREE_COLUMNS):
         raise ConfigError(f"{where}: latitude and longitude; convert them to x (east) and y (north) in m first.")
     if speed_column is not None:
         names = ["" if name == "speed_limit" else name for name in names]
@@ -262,9 +262,9 @@ def _check_unit(where: str, title: str, name: str) -> None:
 
 def _check_speeds(where: str, column: str, speeds: Array, lines: Sequence[int]) -> None:
     """Refuse speeds that no car drives."""
-    for k in np.flatnonzero(~((speeds > 0.0) & (speeds <= SPEED.most)))[:1]:
+    for k in np.flatnonzero(~((speeds > 0.0) & (speeds <= MAX_SPEED.most)))[:1]:
         raise ConfigError(
-            f"{where}, line {lines[k]}: {column} = {speeds[k]:g}: must be > 0 and at most {SPEED.most:g} m/s; "
+            f"{where}, line {lines[k]}: {column} = {speeds[k]:g}: must be > 0 and at most {MAX_SPEED.most:g} m/s; "
             "correct or remove the line."
         )
 

@@ -24,7 +24,7 @@ from adaptrack.road.segments import Array
 
 KNOTS = 10.0
 """In a smoothing length, at most."""
-CAUTION = 1.4
+PARAMETER_PENALTY = 1.4
 """Factor on the number of parameters in cross-validation."""
 EXACT_TRACE = 500
 """Up to so many parameters their number in use is computed exactly, else from random signs."""
@@ -80,7 +80,7 @@ class Smoother:
         n = len(self.points)
         residual = self.points - system.basis @ scipy.linalg.cho_solve_banded((factor, False), system.right)
         used = self._trace(system, factor)
-        left = n - CAUTION * used
+        left = n - PARAMETER_PENALTY * used
         return Score(n * float((residual**2).sum()) / left**2 if left > 0.0 else math.inf, used)
 
     def _trace(self, system: _System, factor: Array) -> float:

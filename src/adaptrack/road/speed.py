@@ -19,7 +19,7 @@ from pydantic import Field
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked, reals, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core import speed_plan as plan_kernel
@@ -31,7 +31,7 @@ from adaptrack.road.holdable import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
-SPACING = 1.0
+PLAN_SPACING = 1.0
 """m, between the places at which the speed is planned, by default."""
 
 
@@ -48,7 +48,7 @@ class Comfort(Record):
     grip_share: float = Field(default=0.9, gt=0.0, le=1.0, description="-, of the friction that may be used")
 
 
-USUAL = Comfort()
+DEFAULT_COMFORT = Comfort()
 """As most are driven."""
 
 
@@ -170,13 +170,13 @@ class SpeedPlan:
 def plan_speed(
     road: Road,
     car: Vehicle | None = None,
-    comfort: Comfort = USUAL,
+    comfort: Comfort = DEFAULT_COMFORT,
     *,
     start: Annotated[NotNegative, "m/s"] | None = None,
     end: Annotated[NotNegative, "m/s"] | None = None,
     stops: Sequence[Stop | float] = (),
-    top_speed: Annotated[Positive, "m/s", SPEED] | None = None,
-    spacing: Annotated[Finite, within(0.01, 100.0), "m"] = SPACING,
+    top_speed: Annotated[Positive, "m/s", MAX_SPEED] | None = None,
+    spacing: Annotated[Finite, within(0.01, 100.0), "m"] = PLAN_SPACING,
     holds: HoldableSpeed | None = None,
 ) -> SpeedPlan:
     """The fastest speed along a road; `SpeedPlan.stretches` say what bounds it where.
@@ -226,11 +226,11 @@ def plan_speed(
 
 def unlimited(limit: Array) -> NDArray[np.bool_]:
     """Where a speed limit (m/s) is none: files write it as a speed that no car has."""
-    return limit > SPEED.most
+    return limit > MAX_SPEED.most
 
 
 @checked
-def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> SpeedPlan:
+def constant_speed(road: Road, speed: Annotated[Positive, "m/s", MAX_SPEED]) -> SpeedPlan:
     """One speed all along a road, whatever its limits."""
     planning = _planning(road, _bounds(Comfort(), None), None, ())
     return _plan(planning.table, kernel.plan_constant(speed, planning), road.closed, Comfort())
@@ -255,7 +255,7 @@ def speed_limit_plan(road: Road) -> SpeedPlan:
 
 def _bounds(
     comfort: Comfort, car: Vehicle | None, start: float | None = None, end: float | None = None,
-    top_speed: float | None = None, spacing: float = SPACING,
+    top_speed: float | None = None, spacing: float = PLAN_SPACING,
 ) -> Any:  # fmt: skip
     """Return the bounds of a plan besides road and powertrain, for the kernels."""
     return kernel.Bounds(
@@ -264,7 +264,7 @@ def _bounds(
         end=math.nan if end is None else end,
         top_speed=math.nan if top_speed is None else top_speed,
         domain_speed=(Domain() if car is None else car.domain).speed[1],
-        no_limit=SPEED.most,
+        no_limit=MAX_SPEED.most,
         steering_limit=math.nan if car is None else steering_limit(car),
         spacing=spacing,
     )

@@ -35,7 +35,7 @@ from adaptrack.core.path import COLUMNS
 from adaptrack.core.road import ACROSS, COS, DEGREE, HALF, HEADING, SIN, TURNED, X, Y
 from adaptrack.core.road import ALONG as ALONG_PIECE
 from adaptrack.road.along import Along
-from adaptrack.road.segments import FARTHEST, LONGEST, SHORTEST, Segment
+from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
 from adaptrack.road.table import Pieces, end_to_end
 
 
@@ -48,9 +48,9 @@ def _quantity(value: Any) -> Any:
     return value
 
 
-Quantity = Annotated[Along, BeforeValidator(_quantity)]
-Coefficients = Annotated[
-    tuple[Annotated[float, Field(ge=-LONGEST, le=LONGEST)], ...],
+AlongValue = Annotated[Along, BeforeValidator(_quantity)]
+PieceCoefficients = Annotated[
+    tuple[Annotated[float, Field(ge=-MAX_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH)], ...],
     Field(min_length=DEGREE + 1, max_length=DEGREE + 1, description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece"),
 ]
 
@@ -58,15 +58,15 @@ Coefficients = Annotated[
 class Piece(Record):
     """A piece of a centre line that is no element, see `adaptrack.road.table`."""
 
-    half: float = Field(ge=SHORTEST, le=LONGEST, description="m, half of its length")
-    x: float = Field(ge=-FARTHEST, le=FARTHEST, description="m, at its middle")
-    y: float = Field(ge=-FARTHEST, le=FARTHEST, description="m")
-    heading: float = Field(ge=-LONGEST, le=LONGEST, description="rad, at its middle")
-    along: Coefficients
+    half: float = Field(ge=MIN_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH, description="m, half of its length")
+    x: float = Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, description="m, at its middle")
+    y: float = Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, description="m")
+    heading: float = Field(ge=-MAX_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH, description="rad, at its middle")
+    along: PieceCoefficients
     """Coefficients along the road (m)."""
-    across: Coefficients
+    across: PieceCoefficients
     """Coefficients across the road (m)."""
-    turned: Coefficients
+    turned: PieceCoefficients
     """rad, the heading less that at the middle"""
 
 
@@ -78,11 +78,11 @@ class RoadFile(Record):
     deviation: float = Field(default=0.0, ge=0.0, description="m, from the points that it was fitted to")
     notes: tuple[str, ...] = Field(default=(), description="what its first reader had to say")
     max_deviation: float | None = Field(default=None, gt=0.0, description="m, of points from the curve near them")
-    width_left: Quantity | None = Field(default=None, description="m, from the centre line to the left edge")
-    width_right: Quantity | None = Field(default=None, description="m, to the right edge")
-    speed_limit: Quantity | None = Field(default=None, description="m/s")
-    friction: Quantity | None = Field(default=None, description="coefficient of all wheels")
-    bank: Quantity | None = Field(default=None, description="rad, positive where gravity pushes to the left")
+    width_left: AlongValue | None = Field(default=None, description="m, from the centre line to the left edge")
+    width_right: AlongValue | None = Field(default=None, description="m, to the right edge")
+    speed_limit: AlongValue | None = Field(default=None, description="m/s")
+    friction: AlongValue | None = Field(default=None, description="coefficient of all wheels")
+    bank: AlongValue | None = Field(default=None, description="rad, positive where gravity pushes to the left")
     points: tuple[tuple[float, float], ...] | None = Field(default=None, description="x, y (m), as they are driven")
     elements: tuple[Segment, ...] | None = None
     pieces: tuple[Piece, ...] | None = None

@@ -25,7 +25,7 @@ from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 
-STEEPEST = 0.25
+MAX_ROAD_HEADING = 0.25
 """rad, heading of a road that the small angles of the prediction model still describe."""
 
 SignalLike = Shape | Mapping[str, Any] | float
@@ -114,7 +114,7 @@ def lane_change(
         change_time = max(
             2.0,
             math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)),
-            QUINTIC_SLOPE * abs(amplitude) / (STEEPEST * slowest),
+            QUINTIC_SLOPE * abs(amplitude) / (MAX_ROAD_HEADING * slowest),
         )
     return Scenario(
         name="lane-change",

@@ -31,7 +31,7 @@ Method = Literal["linear", "pchip", "cubic"]
 """What lies between the points of `Knots`."""
 
 Time = Annotated[float, Field(description="s")]
-Span = Annotated[float, Field(gt=0.0, description="s")]
+PositiveTime = Annotated[float, Field(gt=0.0, description="s")]
 Frequency = Annotated[float, Field(ge=0.0, description="Hz")]
 
 
@@ -79,10 +79,10 @@ def as_shape(value: Any) -> Shape:
         raise InvalidInput("give a number, or a table such as { shape = 'step', after = 2.0, time = 1.0 }.")
     kind = value.get("shape")
     if kind is None:
-        raise InvalidInput(f"the table has no key 'shape'; give one of {', '.join(map(repr, SHAPES))}.")
-    if kind not in SHAPES:
-        raise UnknownName(f"unknown shape {kind!r}. {did_you_mean(str(kind), SHAPES)}")
-    return build(SHAPES[kind], {key: entry for key, entry in value.items() if key != "shape"}, f"shape {kind!r}")
+        raise InvalidInput(f"the table has no key 'shape'; give one of {', '.join(map(repr, SHAPE_TYPES))}.")
+    if kind not in SHAPE_TYPES:
+        raise UnknownName(f"unknown shape {kind!r}. {did_you_mean(str(kind), SHAPE_TYPES)}")
+    return build(SHAPE_TYPES[kind], {key: entry for key, entry in value.items() if key != "shape"}, f"shape {kind!r}")
 
 
 Signal = Annotated[Shape, BeforeValidator(as_shape)]
@@ -212,7 +212,7 @@ class LaneChange(Shape):
 
     amplitude: float
     start: Time
-    duration: Span
+    duration: PositiveTime
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
@@ -226,7 +226,7 @@ class TanhSteps(Shape):
     kind = "tanh-steps"
 
     steps: Annotated[
-        tuple[tuple[float, float, Span], ...],
+        tuple[tuple[float, float, PositiveTime], ...],
         BeforeValidator(as_tuples),
         Field(min_length=1, description="[A, t0, tau]"),
     ]
@@ -271,7 +271,7 @@ class Gust(Shape):
 
     peak: float
     start: Time
-    duration: Span
+    duration: PositiveTime
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
@@ -305,7 +305,7 @@ class Sum(Shape):
         return {"shape": self.kind, "terms": [term.table() for term in self.terms]}
 
 
-SHAPES: dict[str, type[Shape]] = {
+SHAPE_TYPES: dict[str, type[Shape]] = {
     shape.kind: shape for shape in (Constant, Knots, Step, LaneChange, TanhSteps, Sine, Gust, Sum)
 }
 """The shapes by their names in scenario files."""
