@@ -116,8 +116,8 @@ def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence()
         "mass": lambda each: at.identify({}, mass=each, wheelbase=2.7),
     }
     for name, call in calls.items():
-        for given in (*NO_NUMBERS, *TOO_LARGE):
-            assert len(refusal(call, given)) < 400, name
+        for no_number in (*NO_NUMBERS, *TOO_LARGE):
+            assert len(refusal(call, no_number)) < 400, name
     for given in (None, *NO_NUMBERS, -(10**5000), 1.5):
         refusal(whole_number, "here", "n", given)
 

@@ -173,7 +173,7 @@ def test_fields_of_files_take_the_same_types_in_the_same_words() -> None:
 
 def names_in(tree: ast.AST | None) -> set[str]:
     """The names that an expression mentions."""
-    return {each.id for each in ast.walk(tree) if isinstance(each, ast.Name)} if tree is not None else set()
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} if tree is not None else set()
 
 
 def unchecked(path: Path) -> list[str]:
@@ -193,21 +193,21 @@ def unchecked(path: Path) -> list[str]:
         for target in each.targets
         if isinstance(target, ast.Name)
     }
-    found = []
-    for each in ast.walk(module):
-        if isinstance(each, ast.FunctionDef) and each.name == "__init__" and "check_parameters" in names_in(module):
+    result = []
+    for node in ast.walk(module):
+        if isinstance(node, ast.FunctionDef) and node.name == "__init__" and "check_parameters" in names_in(module):
             continue
-        if isinstance(each, ast.FunctionDef):
-            given = [*each.args.posonlyargs, *each.args.args, *each.args.kwonlyargs]
+        if isinstance(node, ast.FunctionDef):
+            given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
             annotations = [argument.annotation for argument in given]
-        elif isinstance(each, ast.ClassDef) and not any("Record" in names_in(base) for base in each.bases):
-            annotations = [line.annotation for line in each.body if isinstance(line, ast.AnnAssign)]
+        elif isinstance(node, ast.ClassDef) and not any("Record" in names_in(base) for base in node.bases):
+            annotations = [line.annotation for line in node.body if isinstance(line, ast.AnnAssign)]
         else:
             continue
-        held = any("checked" in names_in(decorator) for decorator in each.decorator_list)
+        held = any("checked" in names_in(decorator) for decorator in node.decorator_list)
         if not held and any(names_in(annotation) & types for annotation in annotations):
-            found.append(f"{path.name}: {each.name}")
-    return found
+            result.append(f"{path.name}: {node.name}")
+    return result
 
 
 def test_every_call_whose_annotations_promise_a_check_makes_it(tmp_path: Path) -> None:

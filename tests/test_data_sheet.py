@@ -97,16 +97,16 @@ def car(**changes) -> Vehicle:
 
 
 def test_the_controller_takes_its_uncertainty_from_the_cars_file_unless_told():
-    known = KnownWithin(stiffness_front=1.3, stiffness_rear=1.5, mass=1.1, yaw_inertia=1.2, steering_lag=0.05)
+    known_within = KnownWithin(stiffness_front=1.3, stiffness_rear=1.5, mass=1.1, yaw_inertia=1.2, steering_lag=0.05)
     steering = Steering(lag=0.2)
-    of_file = MPC(car(known_within=known, steering=steering), profile="road")
-    told = MPC(car(steering=steering), profile="road", uncertainty=Uncertainty(lag=0.05, stiffness=1.5, mass=0.2))
-    assert of_file.tuning == told.tuning
-    assert of_file.model.lag == told.model.lag == pytest.approx(0.2 + 0.9 * 0.05)
-    assert of_file.estimator == told.estimator
+    of_file = MPC(car(known_within=known_within, steering=steering), profile="road")
+    mpc = MPC(car(steering=steering), profile="road", uncertainty=Uncertainty(lag=0.05, stiffness=1.5, mass=0.2))
+    assert of_file.tuning == mpc.tuning
+    assert of_file.model.lag == mpc.model.lag == pytest.approx(0.2 + 0.9 * 0.05)
+    assert of_file.estimator == mpc.estimator
     plain = MPC(car(steering=steering), profile="road")
     assert of_file.tuning.R > plain.tuning.R
-    sure = MPC(car(known_within=known, steering=steering), profile="road", uncertainty=Uncertainty())
+    sure = MPC(car(known_within=known_within, steering=steering), profile="road", uncertainty=Uncertainty())
     assert (sure.tuning, sure.model.lag, sure.estimator) == (plain.tuning, plain.model.lag, plain.estimator)
 
 
@@ -138,8 +138,8 @@ def test_uncertain_stiffness_slows_the_disturbances_where_the_lateral_velocity_i
 
 
 def test_a_factor_and_a_margin_are_written_as_such():
-    said = KnownWithin(mass=1.25, lf=0.05, drive_front=0.1)
-    assert [said.clause(key) for key in ("mass", "lf", "drive_front", "lr")] == ["x/÷ 1.25", "± 0.05 m", "± 0.1", ""]
+    known_within = KnownWithin(mass=1.25, lf=0.05, drive_front=0.1)
+    assert [known_within.clause(key) for key in ("mass", "lf", "drive_front", "lr")] == ["x/÷ 1.25", "± 0.05 m", "± 0.1", ""]
     assert KnownWithin.is_factor("stiffness_rear")
     assert not KnownWithin.is_factor("cg_height")
 
@@ -170,13 +170,13 @@ def test_a_run_has_failed_where_the_cars_own_domain_says(tmp_path):
     assert wide.meta["failure_distance"] == 0.5
     near = plant.vehicle.domain.failure_distance
     assert Failure.of(plant) == Failure(distance=near)
-    away = load_scenario("step", amplitude=0.05, speed=3.0, duration=3.0, start_y=0.0)
+    scenario = load_scenario("step", amplitude=0.05, speed=3.0, duration=3.0, start_y=0.0)
     assert [run.failed for run in runs] == [None, None] or all(run.failed == "off-road" for run in runs)
     moved = dataclasses.replace(wide, Y=wide.y_ref + np.linspace(0.0, 0.6, len(wide)))
     assert find_failure(moved).reason == "off-road"
     assert compute_metrics(moved).failed
     assert find_failure(moved, Failure()) is None
-    batch = rollout_batch(plant, mpc, [off, away], profile="road")
+    batch = rollout_batch(plant, mpc, [off, scenario], profile="road")
     assert (batch.failed[0] is None) == (runs[1].failed is None)
 
 

@@ -83,14 +83,14 @@ def test_every_relative_link_and_every_path_of_a_page_leads_somewhere(page):
 # -- formulas ---------------------------------------------------------------------------------------------------------
 def formulas():
     """(LaTeX, whether on a line of its own) of all formulas of the pages."""
-    found = []
+    result = []
     for page in PAGES:
         text = re.sub(r"^```.*?^```$|`[^`\n]+`", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-        found += [(block, True) for block in re.findall(r"\$\$(.*?)\$\$", text, re.DOTALL)]
-        found += [
+        result += [(block, True) for block in re.findall(r"\$\$(.*?)\$\$", text, re.DOTALL)]
+        result += [
             (one, False) for one in re.findall(r"(?<!\$)\$([^$]+)\$", re.sub(r"\$\$.*?\$\$", "", text, flags=re.DOTALL))
         ]
-    return found
+    return result
 
 
 def test_every_formula_has_its_mathml():
@@ -147,8 +147,8 @@ def test_pages_draw_all_formulas_without_a_network(looked_at):
 def test_what_is_wrong_with_a_page_is_found(looked_at):
     check_pages, found, said = looked_at
     complaints = "\n".join(check_pages.complaints([each for each in found if each["page"] == "wrong.html"], said))
-    for told in ("wider than the window", "font of the formulas", "undrawn", "broken", "said", "elsewhere"):
-        assert told in complaints
+    for name in ("wider than the window", "font of the formulas", "undrawn", "broken", "said", "elsewhere"):
+        assert name in complaints
 
 
 def test_pages_name_no_script_style_or_font_of_elsewhere(built):
@@ -168,7 +168,7 @@ def test_every_step_of_the_workflow_is_a_target_of_the_makefile(project):
         make, target, *variables = step.split()
         assert make == "make", step
         assert target in targets, step
-        assert all(re.fullmatch(r"PYTHON=python[\d.]*", each) for each in variables), step
+        assert all(re.fullmatch(r"PYTHON=python[\d.]*", variable) for variable in variables), step
 
 
 def test_the_workflow_runs_what_every_change_must_pass(project):

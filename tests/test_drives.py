@@ -215,7 +215,7 @@ def test_one_good_tuning_keeps_to_most_drives() -> None:
         tunings,
         scenario_indices=np.arange(len(drives)),
         profile="road",
-        failure=at.Failure(distance=5.0),
+        failure=Failure(distance=5.0),
     )
     assert sum(each is not None for each in result.failed) <= 5
     assert np.median(result.max_abs_error) < 0.5

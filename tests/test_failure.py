@@ -58,5 +58,5 @@ def test_what_the_loop_knew_counts_when_it_came_first():
     assert (failed.step, failed.reason) == (4, Reason.OFF_ROAD)
     late = find_failure(record(Y=[0, 0, 6, 6, 6, 6, 6, 6], failed="spun", failed_at=0.5))
     assert (late.step, late.reason) == (2, Reason.OFF_ROAD)
-    own = find_failure(record(failed="battery empty", failed_at=0.8))
-    assert (own.step, own.clause) == (7, "was given up: battery empty")
+    failure = find_failure(record(failed="battery empty", failed_at=0.8))
+    assert (failure.step, failure.clause) == (7, "was given up: battery empty")

@@ -152,7 +152,7 @@ def test_an_open_road_begins_at_a_speed_that_the_power_holds():
     assert plan.speed[0] == pytest.approx(top_speed(CAR), abs=0.5)
     assert plan.speed[0] == pytest.approx(plan.speed[-1], rel=1e-6)
     assert plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
-    assert {each.limit for each in plan.stretches} == {Limit.POWER}
+    assert {stretch.limit for stretch in plan.stretches} == {Limit.POWER}
 
 
 def test_without_a_car_a_road_without_limit_ends_with_the_usual_domain():

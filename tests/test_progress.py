@@ -30,7 +30,7 @@ def work(seconds, progress=None):
 def test_work_that_nobody_follows_leaves_log_records_with_its_share(caplog):
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
         assert work(0.3) == 0.3
-    assert any(re.fullmatch(r"adaptrack: search, swarm: 25 %, (about|\d+) .*", each) for each in caplog.messages)
+    assert any(re.fullmatch(r"adaptrack: search, swarm: 25 %, (about|\d+) .*", message) for message in caplog.messages)
 
 
 def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
@@ -41,7 +41,7 @@ def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
 
     chain()
     assert caplog.messages
-    assert all(each.startswith("adaptrack: chain, search: ") for each in caplog.messages)
+    assert all(message.startswith("adaptrack: chain, search: ") for message in caplog.messages)
 
 
 def test_short_work_and_work_that_is_followed_leave_no_records(caplog):

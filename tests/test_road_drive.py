@@ -108,12 +108,12 @@ def test_a_straight_road_is_the_scenario_without_a_road():
 def test_both_drivers_give_the_same_run(make):
     controller = make(CAR, profile="road") if make is MPC else make(CAR, period=0.05, preview=True)
     drive = RoadDrive(HAIRPIN, 6.0)
-    one = simulate(PLANT, controller, drive, profile="road", seed=5)
+    run = simulate(PLANT, controller, drive, profile="road", seed=5)
     other = rollout(PLANT, controller, drive, profile="road", seed=5)
     for name in ("X", "Y", "psi", "command"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    for name in one.road:
-        np.testing.assert_array_equal(one.road[name], other.road[name])
+        np.testing.assert_array_equal(getattr(run, name), getattr(other, name))
+    for name in run.road:
+        np.testing.assert_array_equal(run.road[name], other.road[name])
 
 
 @pytest.mark.compiled
@@ -209,22 +209,22 @@ def test_a_drive_among_longer_ones_is_what_it_is_alone(law):
 
 
 def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
-    own = MPC(CAR, profile="road")
-    runs = road_runs(PLANT, own, [WINDING, HAIRPIN], profile="road")
+    mpc = MPC(CAR, profile="road")
+    runs = road_runs(PLANT, mpc, [WINDING, HAIRPIN], profile="road")
     assert runs.lengths[0] != runs.lengths[1]
-    found = runs.costs(own.tuning, [3])
-    for k, each in enumerate(runs.scenarios):
-        run = simulate(PLANT, own, each, profile="road", seed=3)
+    found = runs.costs(mpc.tuning, [3])
+    for k, scenario in enumerate(runs.scenarios):
+        run = simulate(PLANT, mpc, scenario, profile="road", seed=3)
         exact = (run.error**2).mean() + runs.weight * (run.command_change**2).mean()
         assert found[k] == pytest.approx(exact, rel=1e-9)
     with pytest.raises(InvalidInput, match="equally long"):
-        runs.segments(own.tuning, 3, np.arange(2))
+        runs.segments(mpc.tuning, 3, np.arange(2))
 
 
 @pytest.mark.compiled
 def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
-    own = MPC(CAR, profile="road")
-    runs = road_runs(PLANT, own, [HAIRPIN, WINDING], profile="road")
+    mpc = MPC(CAR, profile="road")
+    runs = road_runs(PLANT, mpc, [HAIRPIN, WINDING], profile="road")
     best = tune_constant(runs, SwarmSettings(particles=8, generations=3), seed=1)
     assert runs.costs(np.tile(best.x, (2, 1)), [0]).mean() == pytest.approx(best.cost, rel=1e-9)
     assert best.cost == best.trace.min()

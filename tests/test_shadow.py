@@ -113,10 +113,10 @@ def test_a_car_that_is_believed_wrongly_is_learned(drive):
 
 def test_a_wrong_sign_is_said_and_nothing_is_believed(drive):
     log = drive[0] | {"command": -drive[0]["command"]}
-    found = at.shadow(log, CAR)
-    assert not found.believable
-    assert "opposite signs" in found.logs[0].doubts[0]
-    assert "opposite signs" in shadow_result(found).answer
+    shadow_run = at.shadow(log, CAR)
+    assert not shadow_run.believable
+    assert "opposite signs" in shadow_run.logs[0].doubts[0]
+    assert "opposite signs" in shadow_result(shadow_run).answer
 
 
 def test_a_belief_at_its_bound_is_warned_of(drive):
@@ -124,7 +124,7 @@ def test_a_belief_at_its_bound_is_warned_of(drive):
     found = at.shadow(drive[0], CAR, belief=at.Steering(lag=0.4, dead_time=0.1), uncertainty=narrow).logs[0]
     assert "lag at the end of its range" in found.bounds
     assert found.verdict != "believable"
-    assert any("at the end" in each.what and each.seconds > 5.0 for each in found.warnings)
+    assert any("at the end" in warning.what and warning.seconds > 5.0 for warning in found.warnings)
 
 
 def test_a_lateral_velocity_of_another_point_is_found(drive):
@@ -136,9 +136,9 @@ def test_a_lateral_velocity_of_another_point_is_found(drive):
 def test_with_a_path_offset_and_command_are_compared_and_nothing_is_steered(saved, drive):
     found, run = saved[1], drive[2]
     assert found.of("y", 1.0)["steady"].ours.high < 1.0
-    known = np.isfinite(found.proposed)
-    assert known.mean() > 0.9
-    assert np.sqrt(np.mean((found.proposed - found.command)[known] ** 2)) < 0.02
+    finite = np.isfinite(found.proposed)
+    assert finite.mean() > 0.9
+    assert np.sqrt(np.mean((found.proposed - found.command)[finite] ** 2)) < 0.02
     assert np.array_equal(found.command, run.command)  # the driver's, whatever was proposed
 
 
@@ -192,7 +192,7 @@ def test_a_log_without_commands_and_one_with_gaps_are_gone_through(drive):
     log["wheel"] = log.pop("command")
     found = at.shadow(log, CAR).logs[0]
     assert np.isfinite(found.beliefs["belief_delay"]).all()
-    assert any("segments" in each for each in found.notes)
+    assert any("segments" in note for note in found.notes)
 
 
 def test_intervals_hold_the_error_and_are_wider_for_errors_that_follow_each_other():

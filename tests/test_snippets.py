@@ -77,22 +77,22 @@ NUMBER = r"(?<![\w^.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w^]|\.\d)"
 
 def blocks(page):
     """(language, text) of each fenced block of a page, in order; of a table below `PRINTED`, ("printed", its rows)."""
-    found = re.findall(
+    matches = re.findall(
         rf"^```(\w+)\n(.*?)^```$|^{PRINTED}\n\n((?:\|[^\n]*\n)+)", page.read_text(), re.MULTILINE | re.DOTALL
     )
-    return [("printed", table) if table else (language, text) for language, text, table in found]
+    return [("printed", table) if table else (language, text) for language, text, table in matches]
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
 def ranges(text):
     """(low, high) of each number of a page: around it, or, of `0.2 to 0.4`, from one to the other."""
-    found = []
+    result = []
     for one, other in re.findall(rf"({NUMBER})(?: to ({NUMBER}))?", text):
         low, high = (float(each.replace(",", "")) for each in (one, other or one))
         digits = len(one.partition("e")[0].partition(".")[2])
         away = 0.0 if other else max(NEAR * abs(low), 0.5 * 10.0**-digits if "e" not in one else 0.0)
-        found.append((low - away, high + away))
-    return found
+        result.append((low - away, high + away))
+    return result
 
 
 def numbers(text):
@@ -126,7 +126,7 @@ def check_printed(source, printed):
 
 def check_table(table, printed):
     """Compare the rows of a table with the lines that begin as they do."""
-    rows = [[each.strip(" `") for each in row.strip().strip("|").split("|")] for row in table.splitlines()[2:]]
+    rows = [[part.strip(" `") for part in row.strip().strip("|").split("|")] for row in table.splitlines()[2:]]
     assert rows
     for name, *cells in rows:
         lines = [line for line in printed.splitlines() if line.split()[:1] == [name]]

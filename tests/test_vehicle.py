@@ -166,7 +166,7 @@ class TestNamedSets:
         ours, base, scale = load_tyre("van"), load_tyre("passenger-car"), 875 / 800
         for load in (3000.0, 5305.0, 7200.0):
             mine, theirs = ours.stiffness_at(load, load), base.stiffness_at(load / scale, load / scale)
-            assert mine == pytest.approx([scale * each for each in theirs], rel=1e-3)
+            assert mine == pytest.approx([scale * their for their in theirs], rel=1e-3)
 
 
 class TestFields:
