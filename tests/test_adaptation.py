@@ -13,7 +13,6 @@ from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.statistics import geometric_mean
-from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     ENTRIES,
@@ -24,6 +23,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation, evaluation, improvement, landscape, learning_task
 from adaptrack.paper.adaptation import CONTENDER_NAMES, identity_of, shipped_schedules

@@ -9,9 +9,10 @@ from adaptrack.analysis import holdable
 from adaptrack.analysis.holdable import borne, holdable_speed, top_speed
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, load_vehicle
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Stanley
 from adaptrack.control.controllers.learned import Learning
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
 from adaptrack.road.holdable import HoldableSpeed, load_holdable
@@ -153,13 +154,6 @@ def test_an_open_road_begins_at_a_speed_that_the_power_holds():
     assert plan.speed[0] == pytest.approx(plan.speed[-1], rel=1e-6)
     assert plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
     assert {stretch.limit for stretch in plan.stretches} == {Limit.POWER}
-
-
-def test_without_a_car_a_road_without_limit_ends_with_the_usual_domain():
-    road = Road.from_segments([Line(length=3000.0)])
-    assert plan_speed(road).speed.max() == pytest.approx(27.0)
-    closed = Road.from_segments([Arc(length=2000.0 * math.pi, curvature=1e-3)], closed=True)
-    assert plan_speed(closed, CAR).speed.max() == pytest.approx(CAR.domain.speed[1])
 
 
 def circle(radius, **along):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, list_vehicles, load_vehicle
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core import path
 from adaptrack.core.loop import SIGNAL
@@ -16,6 +16,7 @@ from adaptrack.core.planning.along import Along, Route
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.drive import RoadDrive as Drive
 from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.speed_plan import SpeedPlan
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong

@@ -41,8 +41,7 @@ def eight():
 def test_lines_arcs_and_clothoids_lie_where_closed_forms_and_quadrature_say(segment):
     (table,) = tabulate([segment])
     s = np.linspace(0.0, segment.length, 301)
-    for found, exact in zip(table.at(s), exact_points(segment, s), strict=True):
-        np.testing.assert_allclose(found, exact, rtol=0, atol=2e-9)  # Fresnel, near an arc
+    np.testing.assert_allclose(table.at(s), exact_points(segment, s), rtol=0, atol=2e-9)  # Fresnel, near an arc
     k0, k1 = segment.curvatures
     end = end_of(k0, (k1 - k0) / segment.length, segment.length)
     last = table.at(segment.length)
@@ -60,11 +59,11 @@ def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
     for p in np.linspace(0.0, 1.0, 23):
         speed = lambda q: math.hypot(40.0 + 10.0 * q - 24.0 * q * q, 50.0 * q - 36.0 * q * q)  # noqa: E731
         s = quad(speed, 0.0, p, epsabs=1e-13)[0]
-        found = table.at(min(s, table.length))
+        point = table.at(min(s, table.length))
         exact = (40.0 * p + 5.0 * p**2 - 8.0 * p**3, 25.0 * p**2 - 12.0 * p**3)
         bend = (40.0 + 10.0 * p - 24.0 * p * p) * (50.0 - 72.0 * p) - (50.0 * p - 36.0 * p * p) * (10.0 - 48.0 * p)
-        assert (float(found.x), float(found.y)) == pytest.approx(exact, abs=1e-9)
-        assert float(found.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
+        assert (float(point.x), float(point.y)) == pytest.approx(exact, abs=1e-9)
+        assert float(point.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
 
 
 def test_a_line_beside_a_clothoid_is_its_parallel():
@@ -226,9 +225,9 @@ def test_a_point_without_a_foot_within_reach_is_refused_by_its_place():
 def around(road, furthest, count, rng):
     """Points up to so far from places of a road, and arc lengths up to 30 m from these places."""
     s = rng.uniform(0.0, road.length, count)
-    away, angle = furthest * np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * math.pi, count)
+    distance, angle = furthest * np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * math.pi, count)
     place = road.at(s)
-    return place.x + away * np.cos(angle), place.y + away * np.sin(angle), s + rng.uniform(-30.0, 30.0, count)
+    return place.x + distance * np.cos(angle), place.y + distance * np.sin(angle), s + rng.uniform(-30.0, 30.0, count)
 
 
 TIGHT = Road.from_segments(

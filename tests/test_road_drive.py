@@ -10,12 +10,7 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import (
-    LQR,
-    MPC,
-    PurePursuit,
-    Stanley,
-)
+from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.drive.batch import rollout_batch

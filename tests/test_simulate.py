@@ -9,12 +9,13 @@ import pytest
 from adaptrack import Controller
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
-from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, load_vehicle
 from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import Constant, Lookup, SchedulingVariables
 from adaptrack.core.maths.random import counted_normal
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure, Reason, find_failure
 from adaptrack.drive.simulate import rollout, simulate

@@ -10,10 +10,11 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from adaptrack.cars.vehicle import GRAVITY, in_periods
+from adaptrack.cars.vehicle import in_periods
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators.kalman import FAR, FAR_IN_A_ROW, FAR_TURNED, LEAST_NOISE, UNKNOWN
 from adaptrack.core.models.path import MOST_SHARE, SLOWEST
+from adaptrack.core.plants.forces import GRAVITY
 
 POSE = ("yaw", "y")
 

@@ -20,8 +20,9 @@ from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle
+from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile

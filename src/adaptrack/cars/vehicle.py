@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-GRAVITY = 9.80665
-"""Standard acceleration of free fall (m/s^2), as in the kernels."""
-
 FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
 

@@ -28,7 +28,8 @@ from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 

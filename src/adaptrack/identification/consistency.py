@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.identification.identified import Estimate
 from adaptrack.identification.quantities import degrees_per_g
 

@@ -15,7 +15,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.cars.vehicle import GRAVITY, Vehicle, load_tyre
+from adaptrack.cars.vehicle import Vehicle, load_tyre
+from adaptrack.core.plants.forces import GRAVITY
 
 Array = NDArray[np.float64]
 

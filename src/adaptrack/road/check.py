@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.speed import FLAT, SpeedPlan, unlimited

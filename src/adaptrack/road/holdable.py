@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record, build, read_toml
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.segments import Array
 
 _Axis = Annotated[tuple[float, ...], LISTED, Field(min_length=2)]
