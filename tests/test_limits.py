@@ -30,7 +30,7 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
 
 
 @pytest.mark.parametrize(
-    ("what", "make"),
+    ("words", "make"),
     [
         ("speed", lambda: load_scenario("step", speed=1e15)),
         ("duration", lambda: load_scenario("step", duration=1e12)),
@@ -45,8 +45,8 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
         ("landscape", lambda: Plan.of(sobol(10**6, 10_000))),
     ],
 )
-def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(what, make):
-    with pytest.raises(InvalidInput, match=what):
+def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(words, make):
+    with pytest.raises(InvalidInput, match=words):
         make()
 
 

@@ -104,12 +104,12 @@ def test_a_column_of_text_is_refused_with_its_first_cell_and_a_remedy(tmp_path) 
     "words", ["identify {} --mass 1500 --wheelbase 2.7", "shadow {} --vehicle midsize-sedan", "check-loop {}"]
 )
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "sentence"),
     [("time_ms", "0.03 s of log, 50 microseconds between samples: is the time in s?"), ("time", "--units time=ms")],
 )
-def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words: str, name: str, said: str) -> None:
+def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words: str, name: str, sentence: str) -> None:
     times = TIME if name == "time_ms" else 1000.0 * TIME
     path = written(tmp_path, {name: times} | SIGNALS)
     result = CliRunner().invoke(app, words.format(path).split())
     assert isinstance(result.exception, InvalidInput)
-    assert said in str(result.exception)
+    assert sentence in str(result.exception)

@@ -47,21 +47,21 @@ def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
 def test_short_work_and_work_that_is_followed_leave_no_records(caplog):
     work(0.0)  # short work
     assert not caplog.messages
-    told = []
-    work(0.1, progress=lambda *each: told.append(each))
-    assert told == [("swarm", 1, 4), (2, 4)]
+    reports = []
+    work(0.1, progress=lambda *report: reports.append(report))
+    assert reports == [("swarm", 1, 4), (2, 4)]
     assert not caplog.messages
 
 
 def test_a_notebook_has_a_bar_that_ends_full(monkeypatch, caplog):
-    shown = []
+    bars = []
 
     class Handle:
         def update(self, html):
-            shown.append(html)
+            bars.append(html)
 
     def display(html, display_id):
-        shown.append(html)
+        bars.append(html)
         return Handle()
 
     ipython = types.ModuleType("IPython")
@@ -71,6 +71,6 @@ def test_a_notebook_has_a_bar_that_ends_full(monkeypatch, caplog):
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     monkeypatch.setitem(sys.modules, "IPython.display", ipython.display)
     work(0.3)
-    assert '<progress value="0.250" max="1"></progress> search, swarm: 25 %' in shown[0]
-    assert 'value="1.000"' in shown[-1]
+    assert '<progress value="0.250" max="1"></progress> search, swarm: 25 %' in bars[0]
+    assert 'value="1.000"' in bars[-1]
     assert not caplog.messages
