@@ -136,9 +136,7 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
     """Each log by itself; ratios that are to be found are measured from one guess."""
     log_beliefs = [dict(beliefs) for _ in read]
     prepared = [_prepared(columns, believed, belief) for columns, belief in zip(read, log_beliefs, strict=True)]
-    unknown = [
-        likelihood.log.ratio for likelihood, columns in zip(prepared, read, strict=True) if columns.ratio_unknown
-    ]
+    unknown = [fit.log.ratio for fit, columns in zip(prepared, read, strict=True) if columns.ratio_unknown]
     if len(unknown) > 1:
         common = float(np.median(unknown))
         prepared = [
@@ -447,9 +445,8 @@ def _validated(
     likelihood: Likelihood, z: Array, log: Log, car: Vehicle, beliefs: Mapping[str, Prior]
 ) -> tuple[Validation, Series]:
     """A second fit without every fourth stretch, which predicts them."""
-    is_held_out = (
-        np.floor((log.time - log.time[0]) / VALIDATION_BLOCK).astype(np.int64) % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-    )
+    block = np.floor((log.time - log.time[0]) / VALIDATION_BLOCK).astype(np.int64)
+    is_held_out = block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
 
     def errors(at: Array, used: Array) -> tuple[Array, Array]:
         fold = Likelihood(log, car, beliefs, used)
@@ -464,10 +461,8 @@ def _validated(
     stepped, blindly = errors(there, np.ones(log.samples))[0], errors(there, blind)[0]
     e, s = errors(z, np.ones(log.samples))
     normal = e / np.sqrt(s)
-    finite_errors = normal[np.isfinite(normal)]
-    lags = tuple(
-        float(np.mean(finite_errors[k:] * finite_errors[:-k]) / np.mean(finite_errors**2)) for k in range(1, 6)
-    )
+    finite = normal[np.isfinite(normal)]
+    lags = tuple(float(np.mean(finite[k:] * finite[:-k]) / np.mean(finite**2)) for k in range(1, 6))
     measured = is_held_out & np.isfinite(log.yaw_rate)
     validation = Validation(
         _explained(log.yaw_rate[measured], stepped[measured]),

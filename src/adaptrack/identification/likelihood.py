@@ -110,9 +110,8 @@ class Likelihood:
     def innovations(self, z: Array) -> tuple[Array, Array]:
         """All innovations and variances, each (len(MEASURED_OUTPUTS), n), NaN where nothing is measured."""
         self._kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
-        return self._answer[: len(MEASURED_OUTPUTS)].copy(), self._answer[
-            len(MEASURED_OUTPUTS) : 2 * len(MEASURED_OUTPUTS)
-        ].copy()
+        count = len(MEASURED_OUTPUTS)
+        return self._answer[:count].copy(), self._answer[count : 2 * count].copy()
 
     def filter_results(self, z: Array) -> dict[str, Array]:
         """Filter results at each sample, by the names of the kernel's `FOUND`."""

@@ -140,10 +140,10 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
     table = _table_from_arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
-    signal_columns, notes = _assign_columns(table.columns, reading, where)
-    origin = _read_times(table, signal_columns.get("time"), reading, where)
+    mapping, notes = _assign_columns(table.columns, reading, where)
+    origin = _read_times(table, mapping.get("time"), reading, where)
     values = {}
-    for signal, column in signal_columns.items():
+    for signal, column in mapping.items():
         unit, factor = _unit(signal, column, reading, table.units)
         sign = -1.0 if signal in reading.flip or (signal == "steering_wheel" and "wheel" in reading.flip) else 1.0
         cells = table.columns[column]
@@ -160,7 +160,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
     _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
-    commanded, unknown = _at_road_wheels(values, signal_columns, reading.steering_ratio, notes)
+    commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
     stated_ratio = reading.steering_ratio
@@ -270,7 +270,7 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
 
 
 def _at_road_wheels(
-    values: dict[str, Array], signal_columns: Mapping[str, str], ratio: float | Literal["fit"] | None, notes: list[str]
+    values: dict[str, Array], mapping: Mapping[str, str], ratio: float | Literal["fit"] | None, notes: list[str]
 ) -> tuple[bool, bool]:  # fmt: skip
     """Turn steering angles into those of the road wheels; whether there is a command, whether its ratio is unknown.
 
@@ -289,7 +289,7 @@ def _at_road_wheels(
     if "command" in values:
         if turned is not None:
             notes.append("the angle of the steering wheel is left out beside a command: --steering-ratio R uses it")
-        return True, ratio == "fit" or bool(_AT_STEERING_WHEEL.search(_plain(signal_columns["command"])[0]))
+        return True, ratio == "fit" or bool(_AT_STEERING_WHEEL.search(_plain(mapping["command"])[0]))
     if turned is None:
         return True, False
     values["command"] = turned
@@ -313,30 +313,26 @@ def _plain(column: str) -> tuple[str, str]:
 
 def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
     """Signal -> column: those that are given, then those whose name is known."""
-    signal_columns: dict[str, str] = {}
+    mapping: dict[str, str] = {}
     for signal, column in reading.columns.items():
         if column not in table:
             raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table)}")
-        signal_columns[signal] = column
+        mapping[signal] = column
     notes: list[str] = []
     plain = {column: _plain(column)[0] for column in table}
     for signal, names in ALIASES.items():
-        if signal in signal_columns:
+        if signal in mapping:
             continue
         for name in names:
-            match = [c for c in table if plain[c] == name and c not in signal_columns.values()]
+            match = [c for c in table if plain[c] == name and c not in mapping.values()]
             if match:
-                signal_columns[signal] = match[0]
+                mapping[signal] = match[0]
                 if match[0] != signal:
                     notes.append(f"guessed: {signal} is the column {match[0]!r}")
                 break
-    if (
-        "wheel" in signal_columns
-        and "steering_wheel" not in signal_columns
-        and _AT_STEERING_WHEEL.search(plain[signal_columns["wheel"]])
-    ):
-        signal_columns["steering_wheel"] = signal_columns.pop("wheel")
-    return signal_columns, notes
+    if "wheel" in mapping and "steering_wheel" not in mapping and _AT_STEERING_WHEEL.search(plain[mapping["wheel"]]):
+        mapping["steering_wheel"] = mapping.pop("wheel")
+    return mapping, notes
 
 
 def _dimension(signal: str) -> str:

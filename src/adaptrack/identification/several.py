@@ -23,17 +23,8 @@ from adaptrack.identification.quantities import QUANTITIES
 Array = NDArray[np.float64]
 
 CAR_QUANTITIES = (
-    "delay",
-    "lag_share",
-    "rate",
-    "gain",
-    "front",
-    "rear",
-    "mass",
-    "yaw_inertia",
-    "front_share",
-    "relaxation",
-)
+    "delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation",
+)  # fmt: skip
 """Quantities that logs of one car share."""
 
 
@@ -71,9 +62,8 @@ def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
         rows, places = _places(fit.likelihood)
         row[places] = fit.z[fit.likelihood.free][rows]
     is_known = np.isfinite(means)
-    scatter = np.where(
-        is_known, means - np.where(is_known, means, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1), 0.0
-    )
+    mean = np.where(is_known, means, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
+    scatter = np.where(is_known, means - mean, 0.0)
     between = (scatter**2).sum(axis=0) / np.maximum(is_known.sum(axis=0) - 1, 1)
     wider = []
     for fit in fits:

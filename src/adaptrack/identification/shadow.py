@@ -295,12 +295,10 @@ def _gone_through(
         sample_count += samples.time.size
         report(sample_count, total)
     path_notes = [] if parts[0].path is None else [f"beside a path of {parts[0].path.length:.0f} m"]
-    path_notes += (
-        [] if read.log.commanded else ["here the delay is that from the measured wheel to the logged yaw rate"]
-    )
-    return _summarise_log(
-        read, {key: np.concatenate([part[key] for part in gone]) for key in gone[0]}, path_notes, observers
-    )
+    if not read.log.commanded:
+        path_notes += ["here the delay is that from the measured wheel to the logged yaw rate"]
+    records = {key: np.concatenate([part[key] for part in gone]) for key in gone[0]}
+    return _summarise_log(read, records, path_notes, observers)
 
 
 def _tell(report: Callable[[int, int], None], previous: int, current: int, total: int, share: float) -> None:
@@ -350,9 +348,8 @@ def _summarise_log(
     }
     contradictions = list(_contradictions(read, mpc.vehicle))
     late = time > time[-1] - IN_THE_END
-    doubts = [contradiction.what for contradiction in contradictions] + _lasting_messages(
-        contradictory, late, MAX_CONTRADICTED_SHARE
-    )
+    doubts = [contradiction.what for contradiction in contradictions]
+    doubts += _lasting_messages(contradictory, late, MAX_CONTRADICTED_SHARE)
     doubts += _lasting_messages(silent, np.ones_like(late), 0.5)
     better = {
         prediction.predictor
