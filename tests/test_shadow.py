@@ -13,7 +13,6 @@ from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
 from adaptrack.core.estimators.learning import BELIEFS, memory_of
 from adaptrack.identification.instants import ReadLog
-from adaptrack.identification.reading import Reading
 from adaptrack.identification.shadow import Shadow
 from adaptrack.results.console import print_result
 from adaptrack.results.shadow import shadow_result
@@ -179,7 +178,7 @@ def test_the_belief_is_carried_from_log_to_log(drive):
 
 def test_samples_between_instants_lie_on_the_line_between_neighbours(drive):
     log = drive[0] | {"time": drive[0]["time"] + 0.02}
-    read = ReadLog.of(log, CAR, Reading())
+    read = ReadLog.of(log, CAR, at.Reading())
     samples = next(iter(read.segments(0.05, None)))
     assert np.array_equal(samples.command, log["command"])
     fine = next(iter(read.segments(0.025, None)))
