@@ -2,11 +2,9 @@
 
 import json
 import os
-import sys
 
 import pytest
 
-from adaptrack import cli
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant
 from adaptrack.drive.trajectory import Trajectory
@@ -25,19 +23,6 @@ NASTY = {
     "scripts": "名前 é 🚗",
     "nothing": " ",
 }
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run one command: (exit code, standard output, standard error)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
-        code = cli.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)

@@ -30,23 +30,15 @@ def drive(rng, n=200, late=2):
     return x, u, v
 
 
-def test_a_model_foretells_itself(rng):
+def test_a_model_foretells_itself_and_an_output_that_is_off_is_off_by_as_much(rng):
     x, u, v = drive(rng)
     errors = prediction_error(MODEL, x, u, v, curvatures=0.01)
     assert errors == {0.5: pytest.approx(0.0, abs=1e-12), 1.0: pytest.approx(0.0, abs=1e-12)}
     assert prediction_error(MODEL, x, u, v)[1.0] > 0.5  # a bend that is not told
-
-
-def test_an_output_that_is_off_is_off_by_as_much(rng):
-    x, u, v = drive(rng)
-    errors = prediction_error(MODEL, x, u, v, curvatures=0.01, outputs=x @ MODEL.output + 0.3)
-    assert errors[0.5] == pytest.approx(0.3)
-
-
-def test_a_time_beyond_the_record_is_refused(rng):
-    x, u, v = drive(rng, n=20)
+    shifted = prediction_error(MODEL, x, u, v, curvatures=0.01, outputs=x @ MODEL.output + 0.3)
+    assert shifted[0.5] == pytest.approx(0.3)
     with pytest.raises(InvalidInput, match="within the record"):
-        prediction_error(MODEL, x, u, v)
+        prediction_error(MODEL, x[:20], u[:20], v[:20])
     with pytest.raises(InvalidInput, match="states"):
         prediction_error(MODEL, x[:, :2], u, v)
 

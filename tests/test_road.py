@@ -43,15 +43,10 @@ def test_lines_arcs_and_clothoids_lie_where_closed_forms_and_quadrature_say(segm
     s = np.linspace(0.0, segment.length, 301)
     np.testing.assert_allclose(table.at(s), exact_points(segment, s), rtol=0, atol=2e-9)  # Fresnel, near an arc
     k0, k1 = segment.curvatures
+    assert np.abs(table.at(s).curvature - (k0 + (k1 - k0) * s / segment.length)).max() < 1e-14
     end = end_of(k0, (k1 - k0) / segment.length, segment.length)
     last = table.at(segment.length)
     assert (float(last.x), float(last.y)) == pytest.approx(end, abs=1e-9)
-
-
-def test_the_curvature_of_a_clothoid_is_exact(rng):
-    (table,) = tabulate([Clothoid(length=300.0, start_curvature=0.013, end_curvature=-0.047)])
-    s = rng.uniform(0.0, 300.0, 2000)
-    assert np.abs(table.at(s).curvature - (0.013 - 0.06 * s / 300.0)).max() < 1e-15
 
 
 def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
@@ -114,9 +109,7 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
     beyond = road.at(road.length + 7.0)
     assert float(beyond.x) == pytest.approx(float(end.x + 7.0 * np.cos(end.heading)))
     assert float(beyond.curvature) == 0.0
-    assert [float(v) for v in road.at(-3.0)[:2]] == pytest.approx(
-        [5.0 - 3.0 * math.cos(1.0), -2.0 - 3.0 * math.sin(1.0)]
-    )
+    np.testing.assert_allclose(road.at(-3.0)[:2], [5.0 - 3.0 * math.cos(1.0), -2.0 - 3.0 * math.sin(1.0)])
     circle = Road.from_segments([Arc(length=40.0 * math.pi, curvature=0.05)], closed=True)
     assert circle.turn == pytest.approx(2.0 * math.pi)
     for s in (-300.0, -1.0, 17.0, 5000.0):
@@ -140,7 +133,6 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
         (lambda: generate_road("town", seed=-1), "seed"),
         (lambda: generate_road("town", width_left=-1.0), "> 0"),
         (lambda: road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)]), "3 points lie apart.*at least 4"),
-        (lambda: road_through([(0.0, 0.0), (1.0, 0.0)]), "n >= 4"),
         (lambda: Road.from_segments([Line(length=10.0)]).project(math.nan, 0.0), "finite"),
         (lambda: Road.from_segments([Line(length=10.0)]).along("colour", 0.0), "width_left"),
     ],

@@ -2,14 +2,12 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, vstack
 
-from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.core.plants.forces import GRAVITY
@@ -276,33 +274,22 @@ def test_steering_rate_width_edges_and_jumps_are_named():
 
 
 # -- commands ---------------------------------------------------------------------------------------------------------
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run `adaptrack road`: (exit code, standard output, standard error)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", "road", *map(str, arguments)])
-        code = cli.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
 def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command, tmp_path):
     (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
-    code, out, _ = command("check", tmp_path / "road.csv")
+    code, out, _ = command("road", "check", tmp_path / "road.csv")
     assert code == 0
     assert "can be driven" in out
     assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
     assert "largest deviation" in out
-    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json")
+    code, out, _ = command(
+        "road", "check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json"
+    )
     answer = json.loads(out)
     assert code == 1
     assert (answer["drivable"], answer["fastest"]) == (False, 25.0)
     assert {"grip"} == {row["kind"] for row in answer["rows"]}
     assert answer["limits"]["stretches"] == []  # nothing bounds a speed that is given
-    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--json")
+    code, out, _ = command("road", "check", "mountain", "--road-seed", "1", "--length", "800", "--json")
     answer = json.loads(out)
     assert answer["limits"]["stretches"][-1]["end"] == answer["length"]
     assert sum(answer["limits"]["shares"].values()) == pytest.approx(1.0)
@@ -314,7 +301,7 @@ def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(comm
     (tmp_path / "lap.csv").write_text("# x_m,vx_mps,y_m\n" + "\n".join(rows))
     fastest = {}
     for bounds in ((), ("--lateral-acceleration", "2")):
-        code, out, _ = command("check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
+        code, out, _ = command("road", "check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
         assert code == 0
         fastest[bounds] = json.loads(out)["fastest"]
     assert fastest[()] == pytest.approx(9.0, abs=0.01)
@@ -324,7 +311,7 @@ def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(comm
 @pytest.mark.drawn
 def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    code, out, _ = command("plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
+    code, out, _ = command("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
     assert code == 0
     assert str(tmp_path / "a.png") in out
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -333,13 +320,13 @@ def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["check", "contry"], "Did you mean 'country'"),
-        (["check", "country", "--speed", "5", "--lateral-acceleration", "3"], "either"),
-        (["check", "country", "--speed", "5", "--speed-column", "v"], "either --speed or --speed-column"),
-        (["plot", "country", "--vehicle", "papr"], "paper"),
+        ("check contry", "Did you mean 'country'"),
+        ("check country --speed 5 --lateral-acceleration 3", "either"),
+        ("check country --speed 5 --speed-column v", "either --speed or --speed-column"),
+        ("plot country --vehicle papr", "paper"),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(command, arguments, words):
-    code, _, err = command(*arguments)
+    code, _, err = command("road", *arguments.split())
     assert code == 2
     assert words in err
