@@ -37,7 +37,7 @@ def costs(plant: Any, mpc: Any, tuning: at.Tuning, runs: list[Any], profile: Any
     """J of each run (runs,), and which runs failed."""
     count = len(runs)
     batch = rollout_batch(
-        plant, mpc, runs, np.tile(tuning.as_array(), (count, 1)), which=np.arange(count), profile=profile,
+        plant, mpc, runs, np.tile(tuning.as_array(), (count, 1)), scenario_indices=np.arange(count), profile=profile,
         seeds=seed + np.arange(count),
     )  # fmt: skip
     failed = np.array([reason is not None for reason in batch.failed])

@@ -26,10 +26,11 @@ from numpy.typing import NDArray
 
 import adaptrack as at
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-from adaptrack.cars.vehicle import GRAVITY, Steering, load_tyre
+from adaptrack.cars.vehicle import Steering, load_tyre
 from adaptrack.control.controllers import Learning
 from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import Batch
 from adaptrack.scenario import random_drive
 from adaptrack.scenario.profile import Profile, load_profile

@@ -193,7 +193,9 @@ def test_the_true_steering_drives_no_worse_than_an_unknown_one():
 
     def mean_square(mpc):
         tunings = np.tile(mpc.tuning.as_array(), (3, 1))
-        runs = rollout_batch(DualTrack(car), mpc, [drive], tunings, which=[0] * 3, profile=world, seeds=np.arange(3))
+        runs = rollout_batch(
+            DualTrack(car), mpc, [drive], tunings, scenario_indices=[0] * 3, profile=world, seeds=np.arange(3)
+        )
         return runs.mse.mean()
 
     assert mean_square(MPC(car, belief=true)) <= mean_square(MPC(car))
@@ -225,7 +227,7 @@ def test_a_steering_that_follows_at_once_is_learned_without_losing_the_car():
     plant, world = DualTrack(vehicle, steering=SteeringActuator()), load_profile("road").replace(delay=0.0)
     mpc, drives = MPC(vehicle), [random_drive(5_600_000 + i, 20.0) for i in range(6)]
     tunings = np.tile(mpc.tuning.as_array(), (6, 1))
-    runs = rollout_batch(plant, mpc, drives, tunings, which=np.arange(6), profile=world, seeds=np.arange(6))
+    runs = rollout_batch(plant, mpc, drives, tunings, scenario_indices=np.arange(6), profile=world, seeds=np.arange(6))
     assert not any(runs.failed)
     assert runs.mse.max() < 0.01
 

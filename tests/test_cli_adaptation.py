@@ -163,7 +163,7 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
 
 
 def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
-    monkeypatch.setattr("adaptrack.base.progress.FIRST", 1e6)  # no progress, however slow the machine
+    monkeypatch.setattr("adaptrack.base.progress.FIRST_PAUSE", 1e6)  # no progress, however slow the machine
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--json")
     told = strict(out)
     assert code == 0, err

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.statistics import RESAMPLES
+from adaptrack.base.statistics import BOOTSTRAP_RESAMPLES
 from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
@@ -115,7 +115,7 @@ def test_all_ratios_share_their_resamples_so_that_the_other_way_round_is_the_rec
     one, other = made.ratio("nn", "anfis"), made.ratio("anfis", "nn")
     assert (1.0 / other.mean, 1.0 / other.high, 1.0 / other.low) == pytest.approx(one, rel=1e-3)
     assert compared(nn=made.costs["nn"]).rows()[1] == compared(nn=made.costs["nn"]).rows()[1]
-    assert RESAMPLES >= 1000
+    assert BOOTSTRAP_RESAMPLES >= 1000
 
 
 def test_a_run_that_fails_with_any_of_its_seeds_is_one_failure():

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, Tyre, load_tyre, load_vehicle
 from adaptrack.core.plants.contract import PLANT_STATES, SLOTS, vehicle_batch
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.plants.parameters import unpack
 from inlined import entry
 from references import vehicle as reference

@@ -11,7 +11,7 @@ from adaptrack.core import path
 from adaptrack.core import road as kernel
 from adaptrack.road import Clothoid, Road, road_through
 from adaptrack.road.ahead import pack_roads
-from adaptrack.road.table import of_pieces
+from adaptrack.road.table import points_on_pieces
 
 pytestmark = pytest.mark.kernels
 
@@ -223,7 +223,7 @@ def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
             line, _ = path.line_in(memory)
             assert all(np.isfinite(each).all() for each in line)
             assert (np.diff(line.start) > 0.0).all()
-            first = of_pieces(line.pieces, -np.ones(found))
+            first = points_on_pieces(line.pieces, -np.ones(found))
             gaps = np.hypot(first.x[:, np.newaxis] - points[:, 0], first.y[:, np.newaxis] - points[:, 1]).min(axis=0)
             assert gaps[:-1].max() < 1e-7
     assert {path.OK, path.TOO_FEW} < seen

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, list_vehicles, load_vehicle
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core import path
 from adaptrack.core.loop import SIGNAL
@@ -16,12 +16,13 @@ from adaptrack.core.planning.along import AlongRecord, Route
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.drive import RoadDriveRecord as Drive
 from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.speed_plan import SpeedPlanRecord
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 from adaptrack.road.cornering import cornering_limit, packed
-from adaptrack.road.road import DRY
+from adaptrack.road.road import DRY_FRICTION
 from adaptrack.scenario import RoadDrive, load_scenario
 
 pytestmark = pytest.mark.kernels
@@ -66,7 +67,7 @@ def planned(planning):
 @pytest.mark.parametrize(("points", "closed"), [(OVAL, True), (BENDS, False)])
 def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_the_bit(points, closed, car):
     bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
-    planning = to_plan(line_through(points, closed), car, friction=DRY.value[0], bounds=bounds)
+    planning = to_plan(line_through(points, closed), car, friction=DRY_FRICTION.value[0], bounds=bounds)
     plan, road = planned(planning), road_through(points, closed=closed)
     known = plan_speed(road, car)
     np.testing.assert_array_equal(planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [known.s, known.speed, known.time])

@@ -95,20 +95,6 @@ def test_a_linear_tyre_is_linear_in_slip_friction_and_load():
     assert force(0.01, 2500.0, 1.0) == pytest.approx(2 * reference, rel=1e-14)
 
 
-def test_a_digressive_stiffness_peaks_at_its_load_ratio():
-    tyre = TYRES["passenger-car"]
-    force = compiled(tyre)
-
-    def stiffness(q):
-        return force(1e-6, q * tyre.nominal_load, 1.0) / 1e-6
-
-    assert stiffness(1.0) == pytest.approx(tyre.stiffness_front, rel=1e-6)
-    loads = np.linspace(0.05, 4.0, 800)
-    values = np.array([stiffness(q) for q in loads.tolist()])
-    assert loads[values.argmax()] == pytest.approx(tyre.digressive_load_ratio, abs=0.005)
-    assert (np.diff(values[loads < tyre.digressive_load_ratio], 2) < 0).all()  # ever less for each newton
-
-
 def test_friction_falls_with_load_by_its_sensitivity_to_a_tenth():
     tyre = TYRES["passenger-car"]
     force = compiled(tyre)

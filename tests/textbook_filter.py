@@ -10,7 +10,7 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from adaptrack.cars.vehicle import GRAVITY, split_periods
+from adaptrack.cars.vehicle import split_periods
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators.kalman import (
     LEAST_NOISE,
@@ -20,6 +20,7 @@ from adaptrack.core.estimators.kalman import (
     UNKNOWN_VARIANCE,
 )
 from adaptrack.core.models.path import MIN_SLIP_SPEED, MOST_SHARE
+from adaptrack.core.plants.forces import GRAVITY
 
 POSE = ("yaw", "y")
 

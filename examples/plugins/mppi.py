@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 import mppi_kernel as kernel
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, VehicleArgument, split_periods
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, CompiledController, TuningBounds
@@ -88,13 +88,13 @@ class MPPI(CompiledController):
                 f"{self.car.period:g} to {MOST_STAGES * self.car.period:g} s."
             )
         self.stages = round(self.horizon / self.car.period)
-        self.samples = whole("MPPI", "samples", samples)
+        self.samples = whole_number("MPPI", "samples", samples)
         if self.samples % (2 * kernel.LANES) or self.samples > MOST_SAMPLES:
             raise InvalidInput(
                 f"MPPI: samples = {samples!r}: must be a multiple of {2 * kernel.LANES}, {MOST_SAMPLES} at most."
             )
-        self.rounds = whole("MPPI", "rounds", rounds)
-        self.seed = whole("MPPI", "seed", seed, least=0)
+        self.rounds = whole_number("MPPI", "rounds", rounds)
+        self.seed = whole_number("MPPI", "seed", seed, least=0)
         if self.rounds > MOST_ROUNDS or self.seed >= 2**53:
             raise InvalidInput(f"MPPI: rounds = {rounds!r}, seed = {seed!r}: {MOST_ROUNDS} rounds, seeds below 2^53.")
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS

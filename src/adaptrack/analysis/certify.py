@@ -20,7 +20,7 @@ from adaptrack.analysis.linearisation import LinearPlant, Mismatch, Turn, laws, 
 from adaptrack.analysis.stability import Margins, hard_turn, margins
 from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.limits import SPEED, check_limit
+from adaptrack.base.limits import MAX_SPEED, check_limit
 from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
@@ -306,7 +306,7 @@ def _axes(
         if not -math.inf < low <= high < math.inf or number < 1:
             raise InvalidInput(f"certify: {name}: {number} levels from {low:g} to {high:g}: need finite low <= high.")
         axes[name] = np.linspace(low, high, number if high > low else 1)
-    check_limit("certify: speed", axes["speed"][-1], SPEED)
+    check_limit("certify: speed", axes["speed"][-1], MAX_SPEED)
     if not axes["friction"][0] > 0.0:
         raise InvalidInput(f"certify: friction = {axes['friction'][0]:g}: must be positive.")
     return axes

@@ -17,7 +17,7 @@ from adaptrack.analysis.linearisation import Mismatch, Turn, linear_plants
 from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
 from adaptrack.base.checked import RISING, Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.scenario.profile import Profile
@@ -192,7 +192,7 @@ def _range(low: float, high: float) -> str:
     return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
 
 
-_Speed = Annotated[Positive, SPEED]
+_Speed = Annotated[Positive, MAX_SPEED]
 
 
 @checked

@@ -18,10 +18,11 @@ from adaptrack.analysis.linearisation import EstimatorAt, Steady, laws, sampled_
 from adaptrack.analysis.stability import modulus_margin
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle
+from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile
@@ -180,7 +181,7 @@ def borne(room: float, time: float, period: float) -> float:
 
 def top_speed(car: Vehicle) -> float:
     """The highest speed (m/s) that the car's power holds on a level road."""
-    v = np.linspace(1.0, SPEED.most, 397)
+    v = np.linspace(1.0, MAX_SPEED.most, 397)
     air = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2
     holdable = np.minimum(car.traction_limit, car.engine_power / v) >= air + car.rolling_resistance * car.mass * GRAVITY
     return float(v[holdable].max(initial=1.0))

@@ -28,8 +28,9 @@ from adaptrack.analysis.linearisation import (
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]

@@ -36,7 +36,7 @@ def vehicle_from_data_sheet(
     *,
     load: Annotated[NotNegative, "kg"] = 0.0,
     body_style: str = "car",
-    **known: Any,
+    **entries: Any,
 ) -> Vehicle:
     """A car of which little is known; every other number is estimated, marked and given a spread.
 
@@ -64,25 +64,25 @@ def vehicle_from_data_sheet(
     if body_style not in BODY_STYLES:
         hint = did_you_mean(str(body_style), BODY_STYLES)
         raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
-    arms = {key: real("vehicle_from_data_sheet", key, known.pop(key)) for key in ("lf", "lr") if key in known}
-    made, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
-    status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), made, within)
+    arms = {key: real("vehicle_from_data_sheet", key, entries.pop(key)) for key in ("lf", "lr") if key in entries}
+    car_row, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
+    status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), car_row, within)
     if status == kernel.TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
     if status == kernel.AXLES_DISAGREE:
-        given = " and ".join(f"{key} = {value:g} m" for key, value in arms.items())
+        lengths = " and ".join(f"{key} = {value:g} m" for key, value in arms.items())
         raise InvalidInput(
-            f"vehicle_from_data_sheet: lf and lr do not make the wheelbase of {wheelbase:g} m with {given}: give one "
+            f"vehicle_from_data_sheet: lf and lr do not make the wheelbase of {wheelbase:g} m with {lengths}: give one "
             "of them, or neither."
         )
-    estimates = {key: float(made[key]) for key in _ESTIMATED}
-    known |= {key: estimates[key] for key in ("lf", "lr") if arms}
-    guessed = [key for key in estimates if key not in known]
+    estimates = {key: float(car_row[key]) for key in _ESTIMATED}
+    entries |= {key: estimates[key] for key in ("lf", "lr") if arms}
+    guessed = [key for key in estimates if key not in entries]
     spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithinRow._fields and key != "lr"}
-    known.setdefault("known_within", KnownWithin(**spreads))
-    known.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
+    entries.setdefault("known_within", KnownWithin(**spreads))
+    entries.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
     guessed += [
         key for key, field in Vehicle.model_fields.items()
-        if field.annotation is float and key not in known and key not in estimates and key != "mass"
+        if field.annotation is float and key not in entries and key not in estimates and key != "mass"
     ]  # fmt: skip
-    return Vehicle(name=name, mass=float(made.mass), **(estimates | known), estimated=tuple(guessed))
+    return Vehicle(name=name, mass=float(car_row.mass), **(estimates | entries), estimated=tuple(guessed))

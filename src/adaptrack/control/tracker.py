@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.input_check import InputCheck
@@ -406,6 +406,6 @@ def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
     """
     q = reals("yaw_of: quaternion", quaternion)
     if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
-        raise InvalidInput(f"yaw_of: {shown(quaternion)}: must be four finite numbers x, y, z, w, not all 0.")
+        raise InvalidInput(f"yaw_of: {format_value(quaternion)}: must be four finite numbers x, y, z, w, not all 0.")
     x, y, z, w = q
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -204,7 +204,7 @@ _UNITS = {
 }  # fmt: skip
 
 
-def _named(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def _columns_by_name(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
     being that of data that are not finite.
     """
@@ -256,8 +256,8 @@ def _trajectory(
         held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
         step_time=record.times,
         period=signals.period,
-        tuning=_named(record.tuning_names, record.tuning, is_driven),
-        diagnostics=_named(record.diagnostic_names, record.diagnostics, is_driven),
+        tuning=_columns_by_name(record.tuning_names, record.tuning, is_driven),
+        diagnostics=_columns_by_name(record.diagnostic_names, record.diagnostics, is_driven),
         road=road,
         units={key: unit for key, unit in _UNITS.items() if key in recorded},
         failed=record.failed,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
+from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
@@ -40,7 +40,7 @@ from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.ahead import pack_roads
-from adaptrack.road.speed import SPACING
+from adaptrack.road.speed import PLAN_SPACING
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -98,7 +98,13 @@ def _sizes() -> dict[str, int]:
 
 def _comfort() -> dict[str, float]:
     """Bounds of a speed plan besides road and car (`core.planning.speed.SpeedBounds`)."""
-    defaults = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
+    defaults = {
+        "start": math.nan,
+        "end": math.nan,
+        "top_speed": math.nan,
+        "no_limit": MAX_SPEED.most,
+        "spacing": PLAN_SPACING,
+    }
     return {**Comfort().model_dump(), **defaults}
 
 

@@ -15,13 +15,13 @@ from pydantic.fields import FieldInfo
 from adaptrack.base.checked import allowed
 from adaptrack.base.files import Record
 from adaptrack.cars import data_sheet
-from adaptrack.cars.domain import MOST, Domain
+from adaptrack.cars.domain import MAX_DOMAIN, Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.core import path
 from adaptrack.core.kernel import OK
 from adaptrack.core.synthesis import car, plant
-from adaptrack.road.points import COLUMN_UNITS, COLUMNS, DEGREES, NAME, WITHOUT_HEADER
+from adaptrack.road.points import COLUMN_UNITS, DEGREE_COLUMNS, NAME, POINT_COLUMNS, WITHOUT_HEADER
 
 SECTIONS: dict[str, type[Record]] = {
     "": Vehicle,
@@ -66,15 +66,15 @@ def car_fields() -> dict[str, Any]:
                 for name, kind in SECTIONS.items()}  # fmt: skip
     return {
         "sections": sections,
-        "most": MOST,
+        "most": MAX_DOMAIN,
         "tyre": _tyre(load_tyre(Vehicle.model_fields["tyre"].default)),
         "sheet": {
             "mass": list(car.MASSES), "wheelbase": list(car.WHEELBASES),
             "body_styles": list(data_sheet.BODY_STYLES),
         },
         "points": {
-            "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
-            "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
+            "columns": {name: list(POINT_COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREE_COLUMNS),
+            "name": NAME, "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
             "fewest": path.MIN_PATH_POINTS, "most": MAX_PAGE_POINTS, "farthest": path.MAX_COORDINATE,
             "widest": path.WIDEST, "shortest": path.MIN_PATH_LENGTH,
         },

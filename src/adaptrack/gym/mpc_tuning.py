@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.core.public import BELIEF_NAMES
 from adaptrack.gym.driven import Driven, needs_reset
 from adaptrack.gym.spaces import BELIEF_STATE, Tunings, box, checked_action, first_belief, make_mpc, variables_within
@@ -90,7 +90,7 @@ class MPCTuningEnv(gymnasium.Env):
         self, *, controller: str = "informed", every: int = TUNING_PERIODS, render_mode: str | None = None, **task: Any
     ) -> None:
         self.task, self.controller, self.render_mode = Task(**task), controller, render_mode
-        self.every = whole("MPCTuning", "every", every)
+        self.every = whole_number("MPCTuning", "every", every)
         vehicle, _, profile = self.task.known_car()
         mpc = make_mpc(controller, vehicle, profile)
         within = variables_within(mpc)

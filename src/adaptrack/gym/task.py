@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import real, whole
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.checked import real, whole_number
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
@@ -136,7 +136,7 @@ class Task:
         for name, value in chosen.items():
             if name not in drawn:
                 raise InvalidInput(f"reset: options: {name!r}: this environment does not draw one.")
-            drawn[name] = whole("reset: options", name, value, least=0)
+            drawn[name] = whole_number("reset: options", name, value, least=0)
             if drawn[name] >= self._most()[name]:
                 raise InvalidInput(f"reset: options: {name} = {value!r}: must be below {self._most()[name]}.")
         return self._episode(drawn)
@@ -167,8 +167,8 @@ class Task:
         vehicle = getattr(car, "vehicle", None)
         if not isinstance(car, Plant | SteppedPlant) or not isinstance(vehicle, Vehicle):
             raise InvalidInput(
-                f"car = {shown(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, such as "
-                "UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
+                f"car = {format_value(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, "
+                "such as UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
             )
         return vehicle, car, self.world
 

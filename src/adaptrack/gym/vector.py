@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator
@@ -76,8 +76,8 @@ class _VectorEnv(VectorEnv):
     }  # fmt: skip
 
     def __init__(self, num_envs: int, threads: int, task: Task) -> None:
-        self.num_envs, self.task = whole("num_envs", "num_envs", num_envs), task
-        self.threads = whole("vector environment", "threads", threads)
+        self.num_envs, self.task = whole_number("num_envs", "num_envs", num_envs), task
+        self.threads = whole_number("vector environment", "threads", threads)
         if isinstance(task.known_as, FrictionWindEstimator):
             raise InvalidInput("known_as: a FrictionWindEstimator needs Python at every step: one car at a time.")
         self._set_spaces()
@@ -333,7 +333,7 @@ class MPCTuningVectorEnv(_VectorEnv):
         every: int = TUNING_PERIODS,
         **task: Any,
     ) -> None:
-        self.controller, self.every = controller, whole("MPCTuning", "every", every)
+        self.controller, self.every = controller, whole_number("MPCTuning", "every", every)
         super().__init__(num_envs, threads, Task(**task))
 
     def _set_spaces(self) -> None:

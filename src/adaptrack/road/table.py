@@ -49,7 +49,7 @@ class Pieces(NamedTuple):
 
     @property
     def length(self) -> float:
-        """m"""
+        """Length of the line (m)."""
         return float(self.start[-1])
 
     def packed(self, closed: bool) -> Any:
@@ -69,15 +69,15 @@ class Pieces(NamedTuple):
         index = np.clip(np.where(side < 0.0, before, after) - 1, 0, len(self.pieces) - 1)
         piece = self.pieces[index]
         half = piece[..., HALF_LENGTH]
-        return of_pieces(piece, (s - self.start[index]) / half - 1.0)
+        return points_on_pieces(piece, (s - self.start[index]) / half - 1.0)
 
     def ends(self) -> tuple[Points, Points]:
         """The points at the start and at the end of every piece."""
-        one = np.ones(len(self.pieces))
-        return of_pieces(self.pieces, -one), of_pieces(self.pieces, one)
+        ones = np.ones(len(self.pieces))
+        return points_on_pieces(self.pieces, -ones), points_on_pieces(self.pieces, ones)
 
 
-def of_pieces(piece: Array, u: Array) -> Points:
+def points_on_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
     along = _polynomial(piece[..., ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS], u)
     across = _polynomial(piece[..., ACROSS_COEFFICIENTS:TURN_COEFFICIENTS], u)
@@ -145,7 +145,7 @@ def _chained(start: Array, pieces: Array) -> Pieces:
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
-    first, last = of_pieces(pieces, np.full(len(pieces), -1.0)), of_pieces(pieces, np.ones(len(pieces)))
+    first, last = points_on_pieces(pieces, np.full(len(pieces), -1.0)), points_on_pieces(pieces, np.ones(len(pieces)))
     for column, begins, stops in ((X, first.x, last.x), (Y, first.y, last.y)):
         pieces[:, column] = np.concatenate([[0.0], np.cumsum(stops - begins)[:-1]]) - begins
     return Pieces(start, pieces)
@@ -213,23 +213,23 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     start = np.concatenate([[0.0], np.cumsum(lengths)])
     turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
-    whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
-    pieces[1:, HEADING] -= 2.0 * np.pi * whole
+    full_turns = np.cumsum(np.round(gaps / (2.0 * np.pi)))
+    pieces[1:, HEADING] -= 2.0 * np.pi * full_turns
     return Pieces(start, pieces)
 
 
 def sequence(tables: Sequence[Pieces], start: Pose, poses: Sequence[Pose | None] | None = None) -> Pieces:
     """Tables in their own frames, laid end to end from a pose; one with a pose in `poses` has its origin there."""
-    laid, here = [], start
+    laid, pose = [], start
     for k, table in enumerate(tables):
         first, last = (Pose(*(float(value) for value in point[:3])) for point in _both_ends(table))
-        turn = here.heading - first.heading
+        turn = pose.heading - first.heading
         x, y = _turned(first, turn)
-        origin = (poses[k] if poses else None) or Pose(here.x - x, here.y - y, turn)
+        origin = (poses[k] if poses else None) or Pose(pose.x - x, pose.y - y, turn)
         turn = origin.heading
         laid.append(placed(table, origin))
         x, y = _turned(last, turn)
-        here = Pose(origin.x + x, origin.y + y, turn + last.heading)
+        pose = Pose(origin.x + x, origin.y + y, turn + last.heading)
     return joined(laid)
 
 

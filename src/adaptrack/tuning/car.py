@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import Certificate, certify
 from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.checked import checked, whole
+from adaptrack.base.checked import checked, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
@@ -64,7 +64,7 @@ class TuningEffort:
 
     def __post_init__(self) -> None:
         for name, least in (("drives", 1), ("hard_drives", 1), ("judged", 4)):
-            whole("TuningEffort", name, getattr(self, name), least=least)
+            whole_number("TuningEffort", name, getattr(self, name), least=least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ def tune(
     """
     began, show = time.perf_counter(), progress or (lambda what, done, of: None)
     effort = effort or TuningEffort()
-    seed = whole("tune", "seed", seed, least=0)
+    seed = whole_number("tune", "seed", seed, least=0)
     car, driven = _car_and_plant(car, plant)
     world = load_profile(profile)
     mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)

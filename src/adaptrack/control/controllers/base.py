@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Positive, checked, real
-from adaptrack.base.errors import ContractError, InvalidInput, shown
+from adaptrack.base.errors import ContractError, InvalidInput, format_value
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
@@ -57,7 +57,8 @@ def command_of(answer: Any, before: float) -> Command:
         angle = float(getattr(answer, "angle", answer))
     except (TypeError, ValueError):
         raise ContractError(
-            f"step() returned {shown(answer)}: it must return the steering angle (rad), or an answer with an `angle`."
+            f"step() returned {format_value(answer)}: it must return the steering angle (rad), or an answer with "
+            "an `angle`."
         ) from None
     return Command(
         angle, float(getattr(answer, "move", angle - before)), bool(getattr(answer, "held", False)),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from adaptrack.base.checked import FLOAT, Array, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.road.ahead import RoadAhead
 
 MOST_WHEEL_ANGLE, MOST_CHANGE = 0.5 * np.pi, 1e3
@@ -89,7 +89,7 @@ def number(name: str, value: Any) -> float:
         return value
     row = reals(name, value)
     if row.shape != ():
-        raise InvalidInput(f"{name} = {shown(value)}: must be one number.")
+        raise InvalidInput(f"{name} = {format_value(value)}: must be one number.")
     return float(row)
 
 
@@ -103,7 +103,7 @@ def finite(name: str, value: Any) -> float:
     """
     result = number(name, value)
     if not np.isfinite(result):
-        raise InvalidInput(f"{name} = {shown(value)}: must be finite.")
+        raise InvalidInput(f"{name} = {format_value(value)}: must be finite.")
     return result
 
 
@@ -117,7 +117,9 @@ def wheel_angle(name: str, value: Any) -> float:
     """
     angle = finite(name, value)
     if abs(angle) > MOST_WHEEL_ANGLE:
-        raise InvalidInput(f"{name} = {shown(value)} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad.")
+        raise InvalidInput(
+            f"{name} = {format_value(value)} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad."
+        )
     return angle
 
 
@@ -131,7 +133,7 @@ def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
     """
     turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
     if max(abs(turned), abs(shifted)) >= MOST_CHANGE:
-        change = f"{shown(heading)} rad, {shown(offset)} m"
+        change = f"{format_value(heading)} rad, {format_value(offset)} m"
         raise InvalidInput(f"change_path: {change}: too far from the path before; reset instead.")
     return turned, shifted
 
@@ -139,5 +141,7 @@ def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
 def road_ahead(value: Any) -> RoadAhead | None:
     """The road ahead of a car, None where it is straight; `InvalidInput` for anything else."""
     if not (value is None or isinstance(value, RoadAhead)):
-        raise InvalidInput(f"road = {shown(value)}: must be RoadAhead(road, station, speeds), or None: straight.")
+        raise InvalidInput(
+            f"road = {format_value(value)}: must be RoadAhead(road, station, speeds), or None: straight."
+        )
     return value

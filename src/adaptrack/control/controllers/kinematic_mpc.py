@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
@@ -85,7 +85,7 @@ class KinematicMPC(CompiledController):
         self.vehicle = vehicle
         setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits, computation)
         self.belief, self.pose_age = setup.belief, setup.pose_age
-        self.stages = whole("KinematicMPC", "stages", stages)
+        self.stages = whole_number("KinematicMPC", "stages", stages)
         if not 1 <= self.stages <= MOST_STAGES:
             raise InvalidInput(f"KinematicMPC: stages = {stages!r}: must be from 1 to {MOST_STAGES}.")
         self.step_length = real("KinematicMPC", "step", step)

@@ -123,7 +123,7 @@ def about_controller(name: str) -> About:
     UnknownName
         When no controller has this name; the message holds the nearest that is known.
     """
-    _registry.known(name)
+    _registry.check_name(name)
     return _descriptions[name]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 from adaptrack.core.synthesis.tuning import PAPER_TUNING
@@ -42,7 +42,7 @@ class Tuning:
 
     def __post_init__(self) -> None:
         for name in ("Np", "Nc"):
-            object.__setattr__(self, name, whole("Tuning", name, getattr(self, name)))
+            object.__setattr__(self, name, whole_number("Tuning", name, getattr(self, name)))
         for name in ("Q", "R"):
             object.__setattr__(self, name, real("Tuning", name, getattr(self, name)))
         check_limit("Tuning: Np", self.Np, PREDICTION_HORIZON)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, final
 
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
@@ -57,7 +57,7 @@ class UserController(CompiledController):
         faulty = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
         if faulty:
             raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(faulty)}.")
-        self.memory_size = whole(where, "memory_size", memory_size, least=0)
+        self.memory_size = whole_number(where, "memory_size", memory_size, least=0)
         self.tuning_names, self.diagnostic_names = tuple(tuning or {}), tuple(diagnostics)
         if bounds and set(bounds) - set(self.tuning_names):
             raise InvalidInput(f"{where}: bounds of {', '.join(bounds)}: must be of {', '.join(self.tuning_names)}.")

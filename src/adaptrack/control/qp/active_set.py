@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Attempt, Solution
 from adaptrack.control.qp.solver import EXACT_SOLVER, QPSolver
@@ -23,7 +23,9 @@ class ActiveSet(QPSolver):
 
     def __init__(self, max_iterations: int | None = None) -> None:
         super().__init__(on_uncertified="hold")
-        self.max_iterations = None if max_iterations is None else whole("ActiveSet", "max_iterations", max_iterations)
+        self.max_iterations = (
+            None if max_iterations is None else whole_number("ActiveSet", "max_iterations", max_iterations)
+        )
         self._workspace = Workspace()
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
