@@ -374,15 +374,15 @@ def test_on_operating_points_the_reference_is_the_optimum_and_the_table_knows_th
 def test_the_optimum_is_the_best_of_what_was_searched_on_the_noise_of_the_choice(chain):
     points = evaluation.evaluation_points(chain.task, 2, 7)
     constants = np.array([[29, 5, 1.0, 4000.0], [42, 3, 1.0, 1e4]])
-    tunings = evaluation.find_optimum(chain.task, chain.task.driven, points, 7, constants)
+    tunings = evaluation.find_optimum(chain.task, chain.task.evaluated_plant, points, 7, constants)
     objective = Objective(
-        chain.task.driven, chain.task.mpc, "lane-change", "road", evaluation.CHOICE_NOISE,
+        chain.task.evaluated_plant, chain.task.mpc, "lane-change", "road", evaluation.CHOICE_NOISE,
         failure=learning_task.FAILURE,
     )  # fmt: skip
     for point, tuning in zip(points, tunings, strict=True):
         assert objective.costs(point, [tuning])[0] <= objective.costs(point, constants).min()
     none = np.empty((0, 4))
-    one, other = (evaluation.find_optimum(chain.task, chain.task.driven, points, seed, none) for seed in (7, 8))
+    one, other = (evaluation.find_optimum(chain.task, chain.task.evaluated_plant, points, seed, none) for seed in (7, 8))
     assert (one != other).any(), "the seed selects the swarms"
 
 

@@ -14,12 +14,19 @@ from adaptrack.base.errors import AdaptrackError, InvalidInput, MissingExtra, St
 from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
 from adaptrack.paper import campaign as module
 from adaptrack.paper.campaign import run_campaign
-from adaptrack.paper.campaign_config import STANDARD, Plan, TuningLibrary, list_campaigns, load_campaign, spread_tunings
+from adaptrack.paper.campaign_config import (
+    STANDARD_ROW,
+    CampaignPlan,
+    TuningLibrary,
+    list_campaigns,
+    load_campaign,
+    spread_tunings,
+)
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.paper.operating_points import fold
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.spaces import Search
+from adaptrack.tuning.spaces import SearchBounds
 from small_data import small_campaign
 
 
@@ -60,7 +67,7 @@ def toml(tmp_path):
 def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
     assert set(list_campaigns()) == {"paper-grid", "road-sobol"}
     assert all(list_campaigns().values())
-    paper, road = (Plan.of(load_campaign(name)) for name in ("paper-grid", "road-sobol"))
+    paper, road = (CampaignPlan.of(load_campaign(name)) for name in ("paper-grid", "road-sobol"))
     assert len(paper.operating_points) == 6435
     assert (paper.config.swarm.particles, paper.config.swarm.generations, paper.config.duration) == (20, 15, 18.0)
     assert (paper.config.profile, paper.config.scenario, paper.config.move_weight) == ("paper", "step", 0.0)
@@ -73,7 +80,7 @@ def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
 
 
 def test_a_campaign_tunes_the_papers_controller_in_the_loop_of_its_profile(toml):
-    published = tuned_mpc(Plan.of(load_campaign(toml(profile='"road"'))).setup)
+    published = tuned_mpc(CampaignPlan.of(load_campaign(toml(profile='"road"'))).setup)
     assert (published.is_published, published.preview, published.period) == (True, True, 0.05)
 
 
@@ -81,7 +88,7 @@ def test_what_the_car_says_of_its_steering_does_not_change_a_campaign(toml, tmp_
     seen = set()
     for lag in (0.1, 0.2):
         load_vehicle("paper").replace(steering=Steering(lag=lag)).to_toml(tmp_path / "mine.toml")
-        seen.add(Plan.of(load_campaign(toml(vehicle='"mine.toml"'))).identity)
+        seen.add(CampaignPlan.of(load_campaign(toml(vehicle='"mine.toml"'))).identity)
     assert len(seen) == 1
 
 
@@ -90,7 +97,7 @@ def test_a_profile_of_ones_own_counts_by_what_is_in_it(toml, tmp_path):
     for lag in (0.1, 0.2):
         world = load_profile("road")
         world.replace(name="lab", steering=world.steering.replace(lag=lag)).to_toml(tmp_path / "lab.toml")
-        seen.add(Plan.of(load_campaign(toml(profile='"lab.toml"'))).identity)
+        seen.add(CampaignPlan.of(load_campaign(toml(profile='"lab.toml"'))).identity)
     assert len(seen) == 2
 
 
@@ -157,7 +164,7 @@ def test_files_of_car_and_tyre_are_looked_for_beside_the_campaign(toml, tmp_path
 
     load_vehicle("paper").replace(name="heavy", mass=2000.0).to_toml(tmp_path / "heavy.toml")
     load_tyre("passenger-car").replace(name="mine").to_toml(tmp_path / "mine.toml")
-    plan = Plan.of(load_campaign(toml(vehicle='"heavy.toml"', tyre='"mine.toml"')))
+    plan = CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"', tyre='"mine.toml"')))
     assert plan.settings["vehicle"]["mass"] == 2000.0
     assert plan.settings["tyre"]["name"] == "mine"
     assert str(tmp_path) not in json.dumps(plan.settings)  # the identity is the same in another folder
@@ -167,9 +174,9 @@ def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_n
 
     car = load_vehicle("paper").replace(name="heavy")
     car.to_toml(tmp_path / "heavy.toml")
-    base = Plan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity
+    base = CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity
     for same in ({"chunk": "7"}, {"description": '"words"'}, {"duration": "18.0"}, {"mirror": "true"}):
-        assert Plan.of(load_campaign(toml(vehicle='"heavy.toml"', **same))).identity == base, same
+        assert CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"', **same))).identity == base, same
     for other in (
         {"seed": "1"},
         {"duration": "17.0"},
@@ -184,17 +191,17 @@ def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_n
         {"noise_seeds": "[1]"},
         {"mirror": "false"},
     ):
-        assert Plan.of(load_campaign(toml(vehicle='"heavy.toml"', **other))).identity != base, other
+        assert CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"', **other))).identity != base, other
     car.replace(mass=car.mass + 1.0).to_toml(tmp_path / "heavy.toml")  # the same name, another car
-    assert Plan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity != base
+    assert CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity != base
 
 
 # -- the library ------------------------------------------------------------------------------------------------------
 def test_the_library_begins_with_the_papers_tuning_and_stays_within_the_search():
-    search = Search(Np=(4, 40), Nc=(2, 12), Q=(0.5, 5.0), R=(0.01, 0.2))
+    search = SearchBounds(Np=(4, 40), Nc=(2, 12), Q=(0.5, 5.0), R=(0.01, 0.2))
     library = spread_tunings(200, search, 1)
     assert library.shape == (200, 4)
-    assert tuple(library[0]) == STANDARD == (35.0, 8.0, 10.0, 0.01)
+    assert tuple(library[0]) == STANDARD_ROW == (35.0, 8.0, 10.0, 0.01)
     Np, Nc, Q, R = library[1:].T
     assert search.space().contains(library[1:]).all()
     assert set(Np) == set(range(4, 41))
@@ -209,13 +216,13 @@ def test_the_library_begins_with_the_papers_tuning_and_stays_within_the_search()
 
 def test_an_explicit_library_is_taken_as_it_is():
     rows = [[10.0, 4.0, 1.0, 0.01], [20.0, 4.0, 1.0, 0.01]]
-    np.testing.assert_array_equal(TuningLibrary(tunings=rows).rows(Search()), rows)
+    np.testing.assert_array_equal(TuningLibrary(tunings=rows).rows(SearchBounds()), rows)
 
 
 @pytest.mark.parametrize("standard_first", [True, False])
 def test_the_standard_cost_is_that_of_the_papers_tuning_wherever_it_stands(tmp_path, folder, standard_first):
     rows = [[10.0, 4.0, 1.0, 0.01], [20.0, 4.0, 1.0, 0.01]]
-    library = TuningLibrary(tunings=[list(STANDARD), *rows] if standard_first else rows)
+    library = TuningLibrary(tunings=[list(STANDARD_ROW), *rows] if standard_first else rows)
     data = load_dataset(run_campaign(small_campaign(library=library), tmp_path, workers=1))
     np.testing.assert_array_equal(data.standard_costs, load_dataset(folder).standard_costs)
     assert data.landscape.shape == (12, len(library.tunings))
@@ -224,7 +231,7 @@ def test_the_standard_cost_is_that_of_the_papers_tuning_wherever_it_stands(tmp_p
 # -- the data ---------------------------------------------------------------------------------------------------------
 def test_twins_are_computed_once_and_name_the_point_that_was_computed(folder):
     data = load_dataset(folder)
-    plan = Plan.of(small_campaign())
+    plan = CampaignPlan.of(small_campaign())
     np.testing.assert_array_equal(data.operating_points, plan.operating_points)
     assert data.computed.sum() == len(plan.fold.representatives) == 8
     for copy in np.flatnonzero(~data.computed):
@@ -246,7 +253,7 @@ def test_the_ideal_car_costs_the_same_at_an_operating_point_and_at_its_mirror_im
 
 
 def test_sensor_noise_is_not_symmetric_so_nothing_is_mirrored_there():
-    plan = Plan.of(small_campaign(profile="road", scenario="lane-change"))
+    plan = CampaignPlan.of(small_campaign(profile="road", scenario="lane-change"))
     assert len(plan.fold.representatives) == len(plan.operating_points)
 
 
@@ -371,7 +378,7 @@ def test_a_folder_that_cannot_be_created_is_refused(tmp_path):
 
 # -- workers ----------------------------------------------------------------------------------------------------------
 def test_a_worker_with_other_software_is_refused():
-    task = module.TuningTask(Plan.of(small_campaign()).setup, (("adaptrack", "0.0.1"),))
+    task = module.TuningTask(CampaignPlan.of(small_campaign()).setup, (("adaptrack", "0.0.1"),))
     with pytest.raises(AdaptrackError, match="a worker runs other software"):
         module.tune_point(task, 0, np.array([10.0, 2.0, 0.8, 0.0]))
 

@@ -126,9 +126,9 @@ def test_a_thread_may_call_the_command_line(monkeypatch, capsys):
 
 
 def test_what_is_kept_is_forgotten_by_the_next_command(monkeypatch, capsys):
-    interrupt.kept("All is lost.")
+    interrupt.note_progress("All is lost.")
     run(monkeypatch, capsys, "--version")
-    assert interrupt.what_is_kept() == "Nothing was written."
+    assert interrupt.progress_note() == "Nothing was written."
 
 
 def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(monkeypatch, capsys):

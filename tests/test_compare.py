@@ -19,7 +19,7 @@ from adaptrack.comparison.cells import run_cell
 from adaptrack.comparison.config import (
     Cell,
     ComparisonConfig,
-    Setting,
+    ControllerSetting,
     list_comparisons,
     load_comparison,
     load_drive,
@@ -62,7 +62,7 @@ def columns(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = 
 
 
 def table(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = None) -> Comparison:
-    return Comparison.of_columns(columns(logs, failed))
+    return Comparison.from_columns(columns(logs, failed))
 
 
 def test_a_ratio_that_is_the_same_everywhere_has_an_interval_of_no_width():
@@ -102,7 +102,7 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     logs = np.log([[1.0, 2.0], [3.0, 4.0]])
     rows = columns({"a": logs, "b": logs + math.log(3.0)})
     kept = ~((rows["contender"] == "b") & (rows["car"] == "car 1"))
-    made = Comparison.of_columns({name: values[kept] for name, values in rows.items()})
+    made = Comparison.from_columns({name: values[kept] for name, values in rows.items()})
     assert np.isclose(made.ratio("b, default", "a, default", "rms_error").mean, 3.0)
     assert {row["label"]: row["runs"] for row in standing_rows(made)} == {"a, default": 4, "b, default": 2}
 
@@ -110,7 +110,7 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
 def test_contenders_that_drove_nothing_in_common_have_no_ratio():
     rows = columns({"a": np.zeros((2, 2)), "b": np.zeros((2, 2))})
     kept = (rows["contender"] == "a") == (rows["car"] == "car 0")
-    made = Comparison.of_columns({name: values[kept] for name, values in rows.items()})
+    made = Comparison.from_columns({name: values[kept] for name, values in rows.items()})
     with pytest.raises(InvalidInput, match="nothing in common"):
         made.ratio("b, default", "a, default")
 
@@ -178,7 +178,7 @@ def test_the_contender_from_the_data_sheet_is_told_mass_and_wheelbase_alone():
         stiffness_front=0.5 * car.stiffness_front, yaw_inertia=1.4 * car.yaw_inertia, lf=car.lf - 0.1, lr=car.lr + 0.1
     )
     slower = profile.replace(steering=profile.steering.replace(lag=0.3, dead_time=0.1))
-    settings = (Setting(car, DualTrack(car), profile), Setting(other, DualTrack(other), slower))
+    settings = (ControllerSetting(car, DualTrack(car), profile), ControllerSetting(other, DualTrack(other), slower))
     made = [each.controller("informed-from-sheet") for each in settings]
     assert all(isinstance(each, MPC) for each in made)
     assert made[0].belief == made[1].belief  # type: ignore[attr-defined]
@@ -267,4 +267,4 @@ def test_the_command_writes_a_page_and_every_run(tmp_path: Path):
     headline = f"{rows[0]['label']}; 0 of {sum(row['runs'] for row in rows)} runs failed."
     assert page.index(headline) < page.index("<table")
     assert "was made for the car" in page
-    assert pq.read_table(out / study.TABLE).num_rows == 2 * (2 * 4 + 1)
+    assert pq.read_table(out / study.RUNS_FILE).num_rows == 2 * (2 * 4 + 1)

@@ -14,7 +14,7 @@ from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.table import Comparison, Role, finite
+from adaptrack.comparison.table import Comparison, ContenderRole, finite
 from adaptrack.control.controllers import (
     LQR,
     Tuning,
@@ -85,7 +85,7 @@ def compared(failures=None, **regrets):
     costs = {"optimum": np.full(len(next(iter(regrets.values()))), 0.02)}
     costs |= {name: 0.02 * np.array(values, dtype=float) for name, values in regrets.items()}
     failures = failures or {name: np.zeros(len(values)) for name, values in costs.items()}
-    return Comparison.of_runs({name: {"cost": costs[name], "failed": failures[name]} for name in costs}, "optimum")
+    return Comparison.from_runs({name: {"cost": costs[name], "failed": failures[name]} for name in costs}, "optimum")
 
 
 # -- the table --------------------------------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def test_known_regrets_give_their_geometric_mean_and_percentiles():
 def test_regret_is_taken_run_by_run():
     """Not as the ratio of two means: where one is better and where the other counts."""
     costs = {"a": np.array([1.0, 4.0]), "b": np.array([4.0, 1.0])}
-    row = Comparison.of_runs({name: {"cost": each, "failed": np.zeros(2)} for name, each in costs.items()}, "a").rows()[
+    row = Comparison.from_runs({name: {"cost": each, "failed": np.zeros(2)} for name, each in costs.items()}, "a").rows()[
         1
     ]
     assert row["regret_geomean"] == pytest.approx(1.0)
@@ -230,7 +230,7 @@ def test_who_adapts_is_told_from_the_policy():
     assert Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]]).adapts
     assert not Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]], hindsight=True).adapts
     assert not Contender("a", [29, 5, 1, 4e3]).adapts
-    assert Role().adapts
+    assert ContenderRole().adapts
 
 
 # -- other controllers ------------------------------------------------------------------------------------------------

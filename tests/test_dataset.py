@@ -9,9 +9,9 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.paper import data_set as module
-from adaptrack.paper.campaign_config import Plan, load_campaign
+from adaptrack.paper.campaign_config import CampaignPlan, load_campaign
 from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
-from adaptrack.paper.data_set_summary import TARGETS, describe, flatness
+from adaptrack.paper.data_set_summary import SUMMARY_TARGETS, describe, flatness
 from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result
@@ -76,7 +76,7 @@ def test_the_shipped_data_sets_load_and_name_their_command():
         data = load_dataset(name)
         assert data.name == name
         assert data.command == f"adaptrack paper campaign {name} --out {name}"
-        assert data.provenance["identity"] == Plan.of(load_campaign(name)).identity
+        assert data.provenance["identity"] == CampaignPlan.of(load_campaign(name)).identity
         assert data.landscape.shape == (len(data), len(data.library))
 
 
@@ -219,7 +219,7 @@ def test_a_summary_is_plain_json():
         "paper", "step", "paper", "magic-formula",
     ]  # fmt: skip
     assert summary["ranges"][1] == {"quantity": "y_ref", "unit": "m", "lowest": -14.0, "highest": 14.0, "levels": 9}
-    assert [row["target"] for row in summary["optimum"]] == list(TARGETS)
+    assert [row["target"] for row in summary["optimum"]] == list(SUMMARY_TARGETS)
     assert summary["optimum"][0]["lowest"] == data.tunings[data.computed, 0].min()
     assert [row["within"] for row in summary["flatness"]] == [0.05, 0.2]
     assert summary["costs"]["standard_over_best_geomean"] > 1.0

@@ -71,7 +71,7 @@ def test_the_cost_of_a_tuning_does_not_depend_on_its_company():
 
 def test_by_decades_the_swarm_reaches_weights_that_a_linear_search_hardly_draws():
     wide = {"names": ("Np", "Nc", "Q", "R"), "low": (5.0, 1.0, 1.0, 1e-3), "high": (55.0, 18.0, 1.0, 1e6)}
-    space = at.SearchSpace(**wide, whole=("Np", "Nc"), ordered=("Nc", "Np"), decades=("R",))
+    space = at.SearchSpace(**wide, integers=("Np", "Nc"), ordered=("Nc", "Np"), decades=("R",))
     found = objective(profile="road", test="lane-change", duration=4.0).tune(HERE, seed=1, space=space)
     assert 10.0 < found.tuning[3] < 1e5
     assert found.cost == pytest.approx(found.trace[-1])

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.paper.operating_points import (
-    COLUMNS,
-    NAMES,
     PAPER_GRID,
+    POINT_COLUMNS,
+    POINT_NAMES,
     canonical,
     check_operating_points,
     fold,
@@ -38,10 +38,10 @@ some_conditions = st.lists(
 
 def test_the_papers_grid_has_its_6435_conditions_in_the_published_order():
     rows = paper_grid()
-    assert rows.shape == (6435, 4) == (9 * 13 * 5 * 11, len(COLUMNS))
+    assert rows.shape == (6435, 4) == (9 * 13 * 5 * 11, len(POINT_COLUMNS))
     order = ("y_ref", "speed", "friction", "wind")  # the last changes fastest
     combinations = itertools.product(*(PAPER_GRID[name] for name in order))
-    expected = np.array([[dict(zip(order, values, strict=True))[name] for name in NAMES] for values in combinations])
+    expected = np.array([[dict(zip(order, values, strict=True))[name] for name in POINT_NAMES] for values in combinations])
     np.testing.assert_array_equal(rows, expected)
     assert len(np.unique(rows, axis=0)) == 6435
     assert sorted(set(rows[:, 0])) == [3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27]
@@ -91,7 +91,7 @@ def test_a_sobol_sample_fills_the_box_more_evenly_than_chance(rng):
     from scipy.stats import qmc
 
     points = sobol(512, BOX, 3)
-    low, high = np.array([BOX[name] for name in NAMES]).T
+    low, high = np.array([BOX[name] for name in POINT_NAMES]).T
     assert ((points >= low) & (points <= high)).all()
     assert qmc.discrepancy((points - low) / (high - low)) < 0.5 * qmc.discrepancy(rng.random((512, 4)))
     for column in ((points - low) / (high - low)).T:  # each of 16 slices holds its share, 32

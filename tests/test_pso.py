@@ -41,7 +41,7 @@ def hilly(x):
 
 def generations(swarm_, function):
     """Each generation's positions with the state that its costs led to."""
-    while not swarm_.done:
+    while not swarm_.is_done:
         x = swarm_.ask()
         swarm_.tell(function(x))
         yield x, swarm_.state
@@ -69,7 +69,7 @@ def spaces(draw):
         names=tuple(names),
         low=tuple(low),
         high=tuple(high),
-        whole=tuple(name for name, is_whole in zip(names, whole, strict=True) if is_whole),
+        integers=tuple(name for name, is_whole in zip(names, whole, strict=True) if is_whole),
         ordered=None if ordered is None else (names[ordered[0]], names[ordered[1]]),
         spread=draw(st.floats(1, 4)) if ordered is not None and low[ordered[0]] >= 0 else 1.0,
     )
@@ -187,7 +187,7 @@ def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
 
 
 def test_the_first_draw_is_uniform_and_every_whole_number_is_as_likely():
-    space = SearchSpace(names=("a", "b"), low=(-2.0, 3.0), high=(3.0, 4.0), whole=("a",))
+    space = SearchSpace(names=("a", "b"), low=(-2.0, 3.0), high=(3.0, 4.0), integers=("a",))
     first = Swarm(space, SwarmSettings(particles=6000), seed=5).ask()
     numbers, counts = np.unique(first[:, 0], return_counts=True)
     assert numbers.tolist() == [-2, -1, 0, 1, 2, 3]
@@ -198,7 +198,7 @@ def test_the_first_draw_is_uniform_and_every_whole_number_is_as_likely():
 @pytest.mark.parametrize("spread", [1.0, 1.3, 2.5, 40.0])
 def test_the_first_draw_of_a_whole_ordered_pair_is_whole_and_spread_as_far_as_the_bounds_allow(spread):
     space = SearchSpace(
-        names=("a", "b"), low=(1.0, 2.0), high=(30.0, 20.0), whole=("a", "b"), ordered=("a", "b"), spread=spread
+        names=("a", "b"), low=(1.0, 2.0), high=(30.0, 20.0), integers=("a", "b"), ordered=("a", "b"), spread=spread
     )
     first = Swarm(space, SwarmSettings(particles=500), seed=3).ask()
     assert space.contains(first).all()
@@ -265,7 +265,7 @@ def test_the_swarm_converges_on_the_sphere(settings):
 # -- runs that can be repeated ----------------------------------------------------------------------------------------
 def test_ask_and_tell_find_what_minimise_finds():
     run = Swarm(TUNING, seed=6, stream=2)
-    while not run.done:
+    while not run.is_done:
         assert np.array_equal(run.ask(), run.ask())
         run.tell(hilly(run.ask()))
     whole = minimise(hilly, TUNING, seed=6, stream=2)
@@ -378,7 +378,7 @@ def test_bad_settings_are_refused_with_the_reason(changes, words):
         ({"ordered": ("Nc", "Q")}, "both of whole or both of real"),
         ({"ordered": ("Nc", "Nc")}, "give two dimensions"),
         ({"ordered": ("Nc", "N")}, "'N' is not one of the names"),
-        ({"whole": ("nc",)}, "'nc' is not one of the names"),
+        ({"integers": ("nc",)}, "'nc' is not one of the names"),
         ({"ordered": None}, "spread = 2"),
         ({"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
         ({"spread": 0.5}, "spread = 0.5"),
@@ -445,7 +445,7 @@ def test_searching_by_decades_finds_a_minimum_that_lies_decades_away():
     assert found.x[0] == pytest.approx(1e4, rel=0.05)
 
 
-@pytest.mark.parametrize(("low", "whole"), [((0.0,), ()), ((1.0,), ("a",))])
-def test_decades_need_positive_real_bounds(low, whole):
+@pytest.mark.parametrize(("low", "integers"), [((0.0,), ()), ((1.0,), ("a",))])
+def test_decades_need_positive_real_bounds(low, integers):
     with pytest.raises(InvalidInput, match="decades"):
-        SearchSpace(names=("a",), low=low, high=(10.0,), decades=("a",), whole=whole)
+        SearchSpace(names=("a",), low=low, high=(10.0,), decades=("a",), integers=integers)

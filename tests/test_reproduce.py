@@ -169,7 +169,7 @@ def test_all_that_was_measured_is_strict_json(made):
 
 
 def test_clipped_steps_are_those_that_the_scheduler_counts(made):
-    controller = paper.PaperController("lookup", paper.FAST, schedule=grid_lookup(small()))
+    controller = paper.PaperController("lookup", paper.ADAPTIVE_MOVES, schedule=grid_lookup(small()))
     plant = paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness")
     for test in TESTS:
         counted = rollout_batch(plant, controller.mpc(preview=False), paper.load_scenario(test)).scheduler
@@ -202,11 +202,11 @@ def test_the_ablation_has_every_moves_with_every_tuning(made):
 
 
 def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
-    table = Constant(paper.TABLE)
+    table = Constant(paper.PAPER_TABLE)
     rows = paper.ablation(
         paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness"),
         [paper.load_scenario("sine", duration=3.0)],
-        paper.TABLE,
+        paper.PAPER_TABLE,
         {"nn": table, "anfis": table},
         LIBRARY,
     )

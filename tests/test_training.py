@@ -9,7 +9,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.paper import ANFIS, MLP, TARGETS, train
 from adaptrack.paper import training as module
 from adaptrack.paper.data_set import DataSet
-from adaptrack.paper.operating_points import NAMES, fold, grid, mirrored, sobol
+from adaptrack.paper.operating_points import POINT_NAMES, fold, grid, mirrored, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
@@ -63,7 +63,7 @@ def trained(request, dataset):
 @pytest.mark.parametrize("targets", ["paper", "ratio"])
 def test_each_slot_gets_a_model_of_its_own_target(dataset, model, targets):
     made = train(dataset, model, targets, **OPTIONS[model] | {"epochs": 2})
-    assert (made.model, made.targets, made.inputs) == (model, targets, NAMES)
+    assert (made.model, made.targets, made.inputs) == (model, targets, POINT_NAMES)
     assert tuple(made.estimators) == tuple(row["slot"] for row in made.quality) == TARGETS[targets]
     assert {type(each) for each in made.estimators.values()} == {MLP if model == "nn" else ANFIS}
     learned, _ = dataset.split(0.2, 0)

@@ -14,7 +14,12 @@ from adaptrack.tuning.car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 
 SMALL = TuningEffort(
-    drives=3, hard_drives=2, seconds=10.0, swarm=SwarmSettings(particles=6, generations=3), judged=6, levels=(4, 2)
+    drives=3,
+    hard_drives=2,
+    seconds=10.0,
+    swarm=SwarmSettings(particles=6, generations=3),
+    judged_drives=6,
+    levels=(4, 2),
 )
 
 
@@ -81,8 +86,8 @@ def test_a_domain_that_nothing_holds_is_refused():
 
 def test_nonsense_is_refused():
     car = at.load_vehicle("paper")
-    with pytest.raises(InvalidInput, match="judged"):
-        TuningEffort(judged=1)
+    with pytest.raises(InvalidInput, match="judged_drives"):
+        TuningEffort(judged_drives=1)
     with pytest.raises(ValueError, match="lowest"):
         tune(car, speed=(20.0, 5.0))
     with pytest.raises(InvalidInput, match="seed"):

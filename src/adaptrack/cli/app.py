@@ -37,8 +37,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(is_requested: bool) -> None:
+    if is_requested:
         from adaptrack.core.library import description
 
         typer.echo(f"adaptrack {__version__}\n{description()}")

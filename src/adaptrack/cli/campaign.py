@@ -52,7 +52,7 @@ def campaign(arguments: CampaignOptions) -> None:
         result, page = dataset_result(load_dataset(arguments.name)), None
     else:
         config = load_campaign(arguments.name)
-        interrupt.kept(f"Finished parts are kept in {arguments.out}: run the command again to continue.")
+        interrupt.note_progress(f"Finished parts are kept in {arguments.out}: run the command again to continue.")
         with show.progress("campaign") as advance:
             file = run_campaign(
                 config, arguments.out, workers=arguments.workers, cluster=arguments.cluster, progress=advance

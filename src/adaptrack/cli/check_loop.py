@@ -13,7 +13,7 @@ from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import command, say_next
 
-CONTRADICTED = 3
+EXIT_CONTRADICTED = 3
 """The exit code when inputs contradict each other."""
 
 
@@ -30,7 +30,7 @@ class CheckLoopOptions:
 
 
 @options.grouped
-def check_loop(given: CheckLoopOptions) -> None:
+def check_loop(arguments: CheckLoopOptions) -> None:
     """Say which inputs of a loop contradict each other.
 
     Sign, unit, frame and clock of time, position, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle
@@ -41,10 +41,10 @@ def check_loop(given: CheckLoopOptions) -> None:
     from adaptrack.identification.reading import read_columns
     from adaptrack.results.check_loop import check_result
 
-    read = read_columns(given.log, given.log_columns.reading)
-    found = check(read, None if given.vehicle is None else load_vehicle(given.vehicle))
-    show.say_result(check_result(found, str(given.log), read.notes), given.as_json)
-    if found.contradictions:
-        raise typer.Exit(CONTRADICTED)
-    if not given.as_json:
-        say_next("to identify the car", command("identify", given.log, "--car", given.vehicle or "CAR"))
+    read = read_columns(arguments.log, arguments.log_columns.reading)
+    result = check(read, None if arguments.vehicle is None else load_vehicle(arguments.vehicle))
+    show.say_result(check_result(result, str(arguments.log), read.notes), arguments.as_json)
+    if result.contradictions:
+        raise typer.Exit(EXIT_CONTRADICTED)
+    if not arguments.as_json:
+        say_next("to identify the car", command("identify", arguments.log, "--car", arguments.vehicle or "CAR"))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnOptions:
-    """What the columns of a log are."""
+    """Options that assign the columns of a log to signals."""
 
     columns: Annotated[
         list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
@@ -52,10 +52,10 @@ class ColumnOptions:
         """As `identify` takes it."""
         from adaptrack.identification import Reading
 
-        columns = dict(_pair("--columns", each) for each in parts(self.columns))
-        units = dict(("", each) if "=" not in each else _pair("--units", each) for each in parts(self.units))
-        clocks = dict(_pair("--clock", each) for each in parts(self.clock))
-        late = {name: _seconds(name, each) for name, each in (_pair("--late", each) for each in parts(self.late))}
+        columns = dict(_pair("--columns", part) for part in parts(self.columns))
+        units = dict(("", part) if "=" not in part else _pair("--units", part) for part in parts(self.units))
+        clocks = dict(_pair("--clock", part) for part in parts(self.clock))
+        late = {name: _seconds(name, part) for name, part in (_pair("--late", part) for part in parts(self.late))}
         return Reading(columns, units, tuple(parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
 
 
@@ -75,9 +75,9 @@ def _seconds(name: str, text: str) -> float:
         raise InvalidInput(f"--late {name}={text}: must be a number (s).") from None
 
 
-def parts(given: Sequence[str] | None) -> list[str]:
-    """What is given, also several with commas between them."""
-    return [part.strip() for each in given or () for part in each.split(",") if part.strip()]
+def parts(texts: Sequence[str] | None) -> list[str]:
+    """Split option values at their commas."""
+    return [part.strip() for text in texts or () for part in text.split(",") if part.strip()]
 
 
 def _pair(option: str, text: str) -> tuple[str, str]:

@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
-from adaptrack.cli.road import ROADS
+from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result
@@ -36,7 +36,7 @@ class CompareOptions:
         list[str] | None,
         typer.Argument(
             metavar="ROAD", show_default=False,
-            help=f"Roads of the judgement: country:3, lap:1@6, random-drive:3, a scenario, {ROADS}",
+            help=f"Roads of the judgement: country:3, lap:1@6, random-drive:3, a scenario, {ROADS_HELP}",
         ),
     ] = None  # fmt: skip
     controller: Annotated[
@@ -115,9 +115,9 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
     size = f"{len(task.cells)} cells, about {loops:,} closed loops, roughly {show.duration(seconds)} of one core"
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     if settings.out is None:
-        interrupt.kept("Nothing is kept without --out.")
+        interrupt.note_progress("Nothing is kept without --out.")
     else:
-        interrupt.kept(f"Finished cells are kept; the same command with --out {settings.out} continues.")
+        interrupt.note_progress(f"Finished cells are kept; the same command with --out {settings.out} continues.")
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     return compare_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
@@ -138,7 +138,7 @@ def _next_step(compared: Compared) -> tuple[str, str]:
     """Drive or tune the controller with the smallest error in the last profile."""
     from adaptrack.comparison.views import standing_rows
 
-    profile, comparison = list(compared.by_profile.items())[-1]
+    profile, comparison = list(compared.profile_comparisons.items())[-1]
     best = standing_rows(comparison)[0]
     where = "--controller", best["contender"], "--profile", profile
     if best["tuning"] == "tuned":

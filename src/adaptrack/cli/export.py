@@ -38,10 +38,10 @@ class ExportedController:
         Option("--scheduler", metavar="NAME", help="Name or .json file: retunes the MPC at every step."),
     ] = None
     car: options.CarAndPlant
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"That is driven: {roads.ROADS}")] = "country"
+    road: Annotated[str, Option("--road", metavar="ROAD", help=f"That is driven: {roads.ROADS_HELP}")] = "country"
     road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
     speed: Annotated[float | None, Option("--speed", metavar="V", help="Along it (m/s); by default planned.")] = None
-    profile: options.Profile = "road"
+    profile: options.ProfileOption = "road"
     learn: Annotated[
         bool,
         Option(
@@ -99,7 +99,7 @@ class ExportOptions:
     """Options of `adaptrack export c`."""
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where the library goes.")]
-    which: ExportedController
+    exported: ExportedController
     computation: Annotated[
         float,
         Option("--computation", metavar="S", min=0.0, max=1.0, help="Time from a call to its command (s); default 0."),
@@ -123,7 +123,7 @@ class ExportOptions:
 
 @app.command("c")
 @options.grouped
-def export_c(given: ExportOptions) -> None:
+def export_c(arguments: ExportOptions) -> None:
     """A controller with its tracker as a C library: header, kernels, constants, and a recorded minute as proof.
 
     It needs no compiler here, and there neither Python nor this package.
@@ -135,27 +135,27 @@ def export_c(given: ExportOptions) -> None:
     from adaptrack.export.tracking import refuse
     from adaptrack.scenario.profile import load_profile
 
-    car, plant = given.which.car.load()
-    world = load_profile(given.which.profile)
-    controller = given.which.make(car, world, given.computation)
+    car, plant = arguments.exported.car.load()
+    world = load_profile(arguments.exported.profile)
+    controller = arguments.exported.make(car, world, arguments.computation)
     refuse(controller)
-    kernel_files(given.target or (), given.objects)
-    options.make_folder(given.out)
-    checked = given.which.checked_road(car, world)
+    kernel_files(arguments.target or (), arguments.objects)
+    options.make_folder(arguments.out)
+    checked = arguments.exported.checked_road(car, world)
     with show.progress("recorded minute"):
-        made = export(
-            controller, given.out, targets=given.target or (), road=checked.road, plan=checked.plan, plant=plant,
-            profile=world, room=given.room, objects=given.objects,
+        files = export(
+            controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
+            plant=plant, profile=world, room=arguments.room, objects=arguments.objects,
         )  # fmt: skip
-    if given.as_json:
-        show.say_json({**asdict(made), "folder": str(made.folder)})
+    if arguments.as_json:
+        show.say_json({**asdict(files), "folder": str(files.folder)})
         return
-    show.say(f"{controller.name} for {', '.join(made.targets)}: {made.folder}")
+    show.say(f"{controller.name} for {', '.join(files.targets)}: {files.folder}")
     show.say(
-        f"Constants {made.constants_size:,} bytes, a tracker {made.memory_size:,}, a saved state {made.state_size:,}."
+        f"Constants {files.constants_size:,} bytes, tracker {files.memory_size:,}, saved state {files.state_size:,}."
     )
     if controller.belief_at_first:
         show.say(f"It believes of the steering: {controller.belief_at_first}.")
-    if made.failed:
-        show.say(f"Warning: on the recorded drive, {made.failed}. --speed drives it more slowly, --road another road.")
-    show.say(next_line("to see that it drives as it does here", f"make -C {made.folder} check"))
+    if files.failed:
+        show.say(f"Warning: on the recorded drive, {files.failed}. --speed drives it more slowly, --road another road.")
+    show.say(next_line("to see that it drives as it does here", f"make -C {files.folder} check"))

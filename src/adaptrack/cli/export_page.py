@@ -17,7 +17,7 @@ class PageOptions:
     """Options of `adaptrack export page`: all but the file are what the page begins with."""
 
     out: Annotated[Path, Option("--out", metavar="FILE", help="The page, an .html file.")]
-    vehicle: options.Vehicle = "midsize-sedan"
+    vehicle: options.VehicleOption = "midsize-sedan"
     road: Annotated[
         str,
         Option("--road", metavar="ROAD", help="motorway, country, town, mountain, lap, or a .csv file of x, y (m)."),
@@ -34,7 +34,7 @@ class PageOptions:
 
 
 @options.grouped
-def export_page(given: PageOptions) -> None:
+def export_page(arguments: PageOptions) -> None:
     """A page on which one drives: one file that needs neither Python nor a network.
 
     The kernels of this package run in it, with the same bits. What is given here it begins with; all of it can be
@@ -42,15 +42,15 @@ def export_page(given: PageOptions) -> None:
     """
     from adaptrack.export.page_file import export_page as export
 
-    options.make_place(given.out)
-    made = export(
-        given.out, vehicle=given.vehicle, road=given.road, speed=given.speed,
-        lateral_acceleration=given.lateral_acceleration, profile=given.profile,
-        controllers=given.controller or ["informed"], seed=given.seed,
+    options.make_place(arguments.out)
+    page = export(
+        arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
+        lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
+        controllers=arguments.controller or ["informed"], seed=arguments.seed,
     )  # fmt: skip
-    size = made.stat().st_size
-    if given.as_json:
-        show.say_json({"file": str(made), "bytes": size})
+    size = page.stat().st_size
+    if arguments.as_json:
+        show.say_json({"file": str(page), "bytes": size})
         return
-    show.say(f"{made}: {size:,} bytes")
-    show.say(next_line("to drive, open it in a browser", str(made)))
+    show.say(f"{page}: {size:,} bytes")
+    show.say(next_line("to drive, open it in a browser", str(page)))

@@ -46,9 +46,11 @@ def adapt(arguments: AdaptOptions) -> None:
     from adaptrack.paper.adaptation import adapt as learn
     from adaptrack.paper.campaign_config import load_campaign
 
-    campaign = load_campaign(arguments.campaign).in_profile(arguments.profile)
+    campaign = load_campaign(arguments.campaign).with_profile(arguments.profile)
     options.make_folder(arguments.out)
-    interrupt.kept(f"Finished parts and schedules are kept in {arguments.out}: run the command again to go on.")
+    interrupt.note_progress(
+        f"Finished parts and schedules are kept in {arguments.out}: run the command again to go on."
+    )
     with show.progress("adapt") as advance:
         schedules = learn(campaign, arguments.out, workers=arguments.workers, progress=advance)
     rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]

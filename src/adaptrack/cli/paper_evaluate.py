@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, OPERATING_POINTS, SEED
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import again, next_line
+from adaptrack.cli.next_step import next_line, repeat_command_with
 
 if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
@@ -78,7 +78,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
     from adaptrack.results.page import write_result
     from adaptrack.tuning.runs import perception
 
-    task = LearningTask.of(load_campaign(arguments.campaign).in_profile(arguments.profile))
+    task = LearningTask.of(load_campaign(arguments.campaign).with_profile(arguments.profile))
     schedules = shipped_schedules() if arguments.folder is None else read_schedules(arguments.folder)
     schedules = check_schedules(task, schedules, arguments.scheduler or [])
     for way in arguments.known_as or []:
@@ -89,7 +89,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
         views = _views(arguments, task, schedules, advance)
     result = evaluation_result(views, schedules, command=options.command_line())
     if not views["drives"]:
-        step = next_line("to evaluate them on long drives", again("--drives", 200))
+        step = next_line("to evaluate them on long drives", repeat_command_with("--drives", 200))
         result = replace(result, next_step=step)
     page = None
     if arguments.out is not None:
@@ -105,10 +105,10 @@ def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, 
     if points is None and drives is None and not arguments.tests:
         points = DEFAULT_POINTS
     ways = tuple(dict.fromkeys(["exact", *(arguments.known_as or [])]))
-    more: dict[str, Any] = {"known_as": ways, "progress": progress}
+    settings: dict[str, Any] = {"known_as": ways, "progress": progress}
     return {
-        "operating points": evaluate_on_operating_points(task, schedules, points, seed, **more) if points else {},
-        "drives": evaluate_on_drives(task, schedules, drives, seed, **more) if drives else {},
+        "operating points": evaluate_on_operating_points(task, schedules, points, seed, **settings) if points else {},
+        "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
         "tests": evaluate_on_tests(task, schedules) if arguments.tests else {},
     }
 
