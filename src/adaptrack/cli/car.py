@@ -40,32 +40,34 @@ class CarOptions:
     """Options of `adaptrack car`."""
 
     name: Annotated[
-        str | None, typer.Argument(metavar="[CAR]", help="Name (see `list cars`) or .toml file of a car to show.")
+        str | None, typer.Argument(metavar="[CAR]", help="Car to show: see `list cars`, or a .toml file.")
     ] = None
-    mass: Annotated[
-        float | None, Option("--mass", metavar="KG", help="Of the data sheet; with --wheelbase, a new car.")
-    ] = None
-    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Of a new car.")] = None
+    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass of a new car; with --wheelbase.")] = None
+    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Wheelbase of a new car.")] = None
     load: Annotated[
         float | None,
-        Option("--load", metavar="KG", help="People and luggage beside the mass: 75 a driver, 136 with luggage."),
+        Option(
+            "--load",
+            metavar="KG",
+            help="People and luggage in addition to the mass: 75 for a driver, 136 with luggage.",
+        ),
     ] = None
     body_style: Annotated[
-        BodyStyleName, Option("--body-style", help="Of a new car: car; truck for pickups, vans and SUVs.")
+        BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickups, vans and SUVs.")
     ] = BodyStyleName.car
     yaw_inertia: Annotated[
-        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="If known (kg m^2).")
+        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
     ] = None
     lf: Annotated[
         float | None, Option("--lf", metavar="M", hidden=True, help="Centre of gravity to front axle, if known.")
     ] = None
     stiffness_front: Annotated[
         float | None,
-        Option("--stiffness-front", metavar="C", hidden=True, help="Of one front tyre, if known (N/rad)."),
+        Option("--stiffness-front", metavar="C", hidden=True, help="Stiffness of one front tyre (N/rad), if known."),
     ] = None
     stiffness_rear: Annotated[
         float | None,
-        Option("--stiffness-rear", metavar="C", hidden=True, help="Of one rear tyre, if known (N/rad)."),
+        Option("--stiffness-rear", metavar="C", hidden=True, help="Stiffness of one rear tyre (N/rad), if known."),
     ] = None
     tir: Annotated[
         Path | None, Option("--tir", metavar="FILE", help="Tyre property file: MF 5.2, 6.1, 6.2, PAC2002.")
@@ -75,7 +77,8 @@ class CarOptions:
         Option("--tyre-table", metavar="FILE", help=".csv of axle forces: slip_rad, force_front_N, force_rear_N."),
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FILE", help="The .toml file to write; a new tyre goes beside it.")
+        Path | None,
+        Option("--out", metavar="FILE", help="Car file to write (.toml); a new tyre goes into the same folder."),
     ] = None
     as_json: options.Json = False
 

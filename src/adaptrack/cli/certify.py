@@ -44,31 +44,34 @@ class CertifyOptions:
 
     scheduler: Annotated[
         str | None,
-        typer.Argument(help="Name (see `list schedules`) or .json file; none: the controller's constant."),
+        typer.Argument(help="Schedule: see `list schedules`, or a .json file; default: the constant tuning."),
     ] = None
     controller: Annotated[
         str | None,
         Option(
             "--controller",
             metavar="NAME",
-            help="informed: the MPC that knows its steering and estimates its state [default]; standard: the paper's "
+            help="informed: MPC with a steering model [default]; standard: the paper's "
             "[default with a scheduler that was made for it].",
         ),
     ] = None
     profile: options.ProfileOption = "road"
     car: options.CarAndPlant
     speed: Annotated[
-        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest (m/s).")
+        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest speed (m/s).")
     ] = None
     friction: Annotated[
-        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest.")
+        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest friction.")
     ] = None
     mismatch: Annotated[
-        bool, Option("--mismatch", help="Also with lag 0.1 s, dead time a period, stiffness 1.6-fold, mass 30 % off.")
+        bool,
+        Option(
+            "--mismatch", help="Also with a lag error of 0.1 s, dead time of one period, stiffness x 1.6, mass 30 %."
+        ),
     ] = False
-    feasible: Annotated[
-        bool, Option("--feasible", help="Which speeds and frictions any tuning can hold, without a scheduler.")
-    ] = False
+    feasible: Annotated[bool, Option("--feasible", help="Show the speeds and frictions that some tuning can hold.")] = (
+        False
+    )
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with the maps.")] = None
     as_json: options.Json = False
 
@@ -81,7 +84,7 @@ class CertifyOptions:
 
 @options.grouped
 def certify(arguments: CertifyOptions) -> None:
-    """Stability and margins of a loop over its domain.
+    """Compute stability and margins of a loop over its domain.
 
     The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
     turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.

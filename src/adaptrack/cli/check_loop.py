@@ -21,9 +21,11 @@ EXIT_CONTRADICTED = 3
 class CheckLoopOptions:
     """Options of `adaptrack check-loop`."""
 
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Of Tracker(record=...), or any that `identify` reads.")]
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Log of Tracker(record=...), or any log that `identify` reads.")
+    ]
     vehicle: Annotated[
-        str | None, Option("--vehicle", metavar="CAR", help="Name (see `list cars`) or .toml file, for sizes.")
+        str | None, Option("--vehicle", metavar="CAR", help="Car, for its sizes: see `list cars`, or a .toml file.")
     ] = None
     log_columns: ColumnOptions
     as_json: options.Json = False
@@ -31,7 +33,7 @@ class CheckLoopOptions:
 
 @options.grouped
 def check_loop(arguments: CheckLoopOptions) -> None:
-    """Say which inputs of a loop contradict each other.
+    """Check whether the inputs of a loop contradict each other.
 
     Sign, unit, frame and clock of time, position, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle
     and command. Exit code 3 where some do.

@@ -19,32 +19,30 @@ class ColumnOptions:
     """Options that assign the columns of a log to signals."""
 
     columns: Annotated[
-        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
+        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Column of a signal: yaw_rate=GyroZ.")
     ] = None
     units: Annotated[
         list[str] | None,
         Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
     ] = None
     flip: Annotated[
-        list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
+        list[str] | None, Option("--flip", metavar="SIGNAL", help="Signal that is positive to the right in the log.")
     ] = None
     steering_ratio: Annotated[
         str | None,
         Option(
             "--steering-ratio",
             metavar="RATIO",
-            help="Logged steering angles over those of the road wheels, or fit: to be found.",
+            help="Logged steering angle over road-wheel angle; fit: estimate it.",
         ),
     ] = None
     clock: Annotated[
         list[str] | None,
-        Option("--clock", metavar="SIGNAL=NAME,...", help="Column of a signal's own times: yaw_rate=t_imu."),
+        Option("--clock", metavar="SIGNAL=NAME,...", help="Time column of a signal: yaw_rate=t_imu."),
     ] = None
     late: Annotated[
         list[str] | None,
-        Option(
-            "--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."
-        ),
+        Option("--late", metavar="SIGNAL=S,...", help="Delay of a signal against its times: yaw_rate=0.2."),
     ] = None
 
     @property

@@ -40,24 +40,25 @@ class CompareOptions:
         ),
     ] = None  # fmt: skip
     controller: Annotated[
-        list[str] | None, Option("--controller", metavar="NAME", help="See `list controllers`; several.")
+        list[str] | None, Option("--controller", metavar="NAME", help="See `list controllers`; may be repeated.")
     ] = None
     tuning: Annotated[
         list[str] | None,
-        Option("--tuning", metavar="FILE", help="Also the controller in this file of `tune`; several."),
+        Option("--tuning", metavar="FILE", help="Tuning file of `tune`; may be repeated."),
     ] = None
     vehicle: Annotated[
         list[str] | None,
-        Option("--vehicle", metavar="CAR[/PLANT]", help="See `list cars`, or a .toml file, with its plant; several."),
+        Option("--vehicle", metavar="CAR[/PLANT]", help="See `list cars`, or a .toml file; may be repeated."),
     ] = None
     profile: Annotated[
-        list[str] | None, Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; several.")
+        list[str] | None,
+        Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; may be repeated."),
     ] = None
     budget: Annotated[
         int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: default tunings only.")
     ] = None
     length: Annotated[
-        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+        float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
     ] = None
     seeds: Annotated[
         int | None, Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of the judgement.")
@@ -66,14 +67,14 @@ class CompareOptions:
         str | None,
         Option(
             "--config", metavar="NAME",
-            help="quick, standard, full, or a .toml file; by default roads if roads are given, otherwise quick.",
+            help="quick, standard, full, or a .toml file; default: roads with ROAD, else quick.",
         ),
     ] = None  # fmt: skip
     lane_change: Annotated[
-        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change, no roads.")
+        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change.")
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Of the page and all runs; the same command continues.")
+        Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and all runs; it can be resumed.")
     ] = None
     plugin: options.Plugin = None
     as_json: options.Json = False

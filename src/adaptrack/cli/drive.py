@@ -45,11 +45,11 @@ class DriveOptions:
         ),
     ] = None
     tuning: Annotated[
-        list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found; may be repeated.")
+        list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`; may be repeated.")
     ] = None
     scheduler: Annotated[
         str | None,
-        Option("--scheduler", metavar="NAME", help="Name or .json file (see `train`): retunes the MPC at every step."),
+        Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
     ] = None
     car: options.CarAndPlant
     place: PlaceOptions
@@ -59,7 +59,7 @@ class DriveOptions:
 
 @options.grouped
 def drive(arguments: DriveOptions) -> None:
-    """Drive scenarios, or along a road with a planned speed.
+    """Drive scenarios, or a road with a planned speed.
 
     Along a road the speed is planned from curvature, friction and the car, unless --speed sets one. A run that leaves
     the road, spins or is not finite is printed as FAILED; the exit code is then 3.

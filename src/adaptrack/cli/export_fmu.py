@@ -24,18 +24,18 @@ class Interface(StrEnum):
 class FMUOptions:
     """Options of `adaptrack export fmu`."""
 
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where car.fmu and controller.fmu go.")]
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for car.fmu and controller.fmu.")]
     exported: ExportedController
     fmi: Annotated[Interface, Option("--fmi", help="Version of the interface.")] = Interface.third
     driver: Annotated[
-        bool, Option("--driver/--perfect-speed", hidden=True, help="Of the car: powertrain and driver, or exact speed.")
+        bool, Option("--driver/--perfect-speed", hidden=True, help="Car with powertrain and driver, or exact speed.")
     ] = False
     as_json: options.Json = False
 
 
 @options.grouped
 def export_fmu(arguments: FMUOptions) -> None:
-    """A controller with its tracker, and a car of the simulated world, as two FMUs for co-simulation.
+    """Export a controller and a car as two FMUs for co-simulation.
 
     They need neither Python nor this package, and no compiler here.
     """

@@ -16,7 +16,7 @@ from adaptrack.cli.next_step import next_line
 class PageOptions:
     """Options of `adaptrack export page`: all but the file are what the page begins with."""
 
-    out: Annotated[Path, Option("--out", metavar="FILE", help="The page, an .html file.")]
+    out: Annotated[Path, Option("--out", metavar="FILE", help="HTML file of the page.")]
     vehicle: options.VehicleOption = "midsize-sedan"
     road: Annotated[
         str,
@@ -29,13 +29,15 @@ class PageOptions:
         list[str] | None,
         Option("--controller", metavar="NAME", help="informed [default], learning, published, lqr, ...; at most two."),
     ] = None
-    seed: Annotated[int, Option("--seed", hidden=True, help="Of the sensor noise.")] = 0
+    seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
     as_json: options.Json = False
 
 
 @options.grouped
 def export_page(arguments: PageOptions) -> None:
-    """A page on which one drives: one file that needs neither Python nor a network.
+    """Export a page on which you drive, as one HTML file.
+
+    The page needs neither Python nor a network.
 
     The kernels of this package run in it, with the same bits. What is given here it begins with; all of it can be
     changed on the page.

@@ -25,26 +25,25 @@ class IdentifyOptions:
 
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG", help=".csv or .parquet, also of `drive --out`; several: of one car."),
+        typer.Argument(metavar="LOG", help="Log of the car (.csv, .parquet, from `drive --out`); several allowed."),
     ]
     car: Annotated[
         str | None,
-        Option("--car", metavar="CAR", help="What is believed of it: name (see `list cars`) or .toml file."),
+        Option("--car", metavar="CAR", help="Initial car: see `list cars`, or a .toml file."),
     ] = None
-    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Where there is no --car.")] = None
-    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Where there is no --car.")] = None
+    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass, instead of --car.")] = None
+    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Wheelbase, instead of --car.")] = None
     log_columns: ColumnOptions
     computation: Annotated[
         float | None,
-        Option(
-            "--computation", metavar="S", hidden=True, help="Of the dead time, what is the controller's, not the car's."
-        ),
+        Option("--computation", metavar="S", hidden=True, help="Part of the dead time that the controller causes."),
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FILE", help="The car file to write (.toml); its tyre goes beside it.")
+        Path | None,
+        Option("--out", metavar="FILE", help="Car file to write (.toml); its tyre goes into the same folder."),
     ] = None
     anyway: Annotated[
-        bool, Option("--anyway", help="Write --out, with exit code 0, also when the identification is not consistent.")
+        bool, Option("--anyway", help="Write --out and exit with 0 even if the logs are inconsistent.")
     ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False

@@ -90,7 +90,7 @@ def list_names(
     plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
-    """List the names of cars, roads, controllers."""
+    """List the names that the commands take."""
     options.load_plugins(plugin)
     if kind is None:
         rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]

@@ -64,40 +64,34 @@ def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int 
     return check
 
 
-VehicleOption = Annotated[str, Option("--vehicle", metavar="CAR", help="Name (see `list cars`) or .toml file.")]
+VehicleOption = Annotated[str, Option("--vehicle", metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
 PlantOption = Annotated[
     str,
-    Option(
-        "--plant", metavar="NAME", hidden=True, help="What is driven: single-track, dual-track, or a registered plant."
-    ),
+    Option("--plant", metavar="NAME", hidden=True, help="Driven plant: single-track, dual-track, or a registered one."),
 ]
 Plugin = Annotated[
     list[str] | None,
-    Option(
-        "--plugin", metavar="MODULE", hidden=True, help="Python module to import first: what it registers has a name."
-    ),
+    Option("--plugin", metavar="MODULE", hidden=True, help="Python module to import first; it registers names."),
 ]
 TyreOption = Annotated[
     str | None,
-    Option("--tyre", metavar="TYRE", hidden=True, help="Name or .toml file; by default the vehicle's."),
+    Option("--tyre", metavar="TYRE", hidden=True, help="Tyre: see `list tyres`, or a .toml file; default: the car's."),
 ]
 ProfileOption = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
 ]
 Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")]
 LateralAcceleration = Annotated[
-    float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
+    float | None, Option("--lateral-acceleration", metavar="A", help="Limit of the planned speed (m/s²); default: 3.")
 ]
-OtherProfile = Annotated[
-    str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: road, ...")
-]
-Png = Annotated[bool, Option("--png", hidden=True, help="With --out: the pictures as PNG files for print, too.")]
+OtherProfile = Annotated[str | None, Option("--profile", metavar="NAME", help="Profile; default: the configuration's.")]
+Png = Annotated[bool, Option("--png", hidden=True, help="With --out: also write the pictures as PNG files.")]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
 Data = Annotated[
     str, Option("--data", metavar="NAME", help="Data set: paper-grid, road-sobol, a file, or the folder of a campaign.")
 ]
 Page = Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
-LearningSeed = Annotated[int, Option("--seed", min=0, help="Of the hold-out and of the first weights.")]
+LearningSeed = Annotated[int, Option("--seed", min=0, help="Seed of the hold-out and of the first weights.")]
 Workers = Annotated[
     int | None,
     Option(
@@ -105,14 +99,14 @@ Workers = Annotated[
         metavar="N",
         hidden=True,
         callback=at_most(WORKERS),
-        help="Worker processes, by default one per core.",
+        help="Worker processes; default: one per core.",
     ),
 ]
 
 
 @dataclasses.dataclass(frozen=True)
 class CarAndPlant:
-    """The car that the controller knows, and what is driven."""
+    """Options for the car of the controller and the driven plant."""
 
     vehicle: VehicleOption = "paper"
     plant: PlantOption = "dual-track"
@@ -133,14 +127,14 @@ class DriveSettings:
         bool, Option("--driver/--perfect-speed", hidden=True, help="Powertrain and driver, or exact speed.")
     ] = False
     period: Annotated[
-        float | None, Option("--period", metavar="S", hidden=True, help="Control period; by default the profile's.")
+        float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
     ] = None
     learn: Annotated[bool, Option("--learn", help="Learn delay, stiffness and bias while driving.")] = False
     learned: Annotated[
         Path | None,
-        Option("--learned", metavar="FILE", help="Learn, from and into this TOML file."),
+        Option("--learned", metavar="FILE", help="Learn; start from this TOML file and update it."),
     ] = None
-    seed: Annotated[int, Option("--seed", hidden=True, help="Of the sensor noise.")] = 0
+    seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and the trajectories.")] = (
         None
     )
@@ -150,7 +144,7 @@ class DriveSettings:
         Option(
             "--allow-failed",
             hidden=True,
-            help="Exit code 0, not 3, after a failed run; drives what is unstable on this car.",
+            help="Exit code 0 after a failed run; drive also unstable loops.",
         ),
     ] = False
     as_json: Json = False
@@ -227,7 +221,8 @@ def _show_all(context: typer.Context, is_requested: bool) -> None:
 
 
 HelpAll = Annotated[
-    bool, Option("--help-all", is_eager=True, callback=_show_all, help="Show all options, also those that few need.")
+    bool,
+    Option("--help-all", is_eager=True, callback=_show_all, help="Show this message with the rarely used options."),
 ]
 
 

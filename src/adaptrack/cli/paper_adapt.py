@@ -29,9 +29,9 @@ class AdaptOptions:
     """Options of `adaptrack paper adapt`."""
 
     campaign: Annotated[
-        str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file; its operating points are a Sobol sample.")
+        str, typer.Argument(metavar="CAMPAIGN", help="Campaign with a Sobol sample: road-sobol, or a .toml file.")
     ] = "road-sobol"
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of campaign and schedules; it can be resumed.")]
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for campaign and schedules; it can be resumed.")]
     profile: options.OtherProfile = None
     workers: options.Workers = None
     as_json: options.Json = False
@@ -39,7 +39,9 @@ class AdaptOptions:
 
 @options.grouped
 def adapt(arguments: AdaptOptions) -> None:
-    """Run a campaign and learn its schedules: constants, look-up table, NN and ANFIS.
+    """Run a campaign and learn schedules from it.
+
+    The schedules are constants, a look-up table, networks and ANFIS.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """

@@ -29,24 +29,26 @@ class EvaluateOptions:
     """Options of `adaptrack paper evaluate`."""
 
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[DIR]", help="Folder of `paper adapt`; by default the shipped schedules.")
+        Path | None, typer.Argument(metavar="[DIR]", help="Folder of `paper adapt`; default: the shipped schedules.")
     ] = None
     scheduler: Annotated[
         list[str] | None,
-        Option("--scheduler", metavar="NAME", help="A further schedule: name (see `list schedulers`) or .json file."),
+        Option("--scheduler", metavar="NAME", help="Another schedule: see `list schedules`, or a .json file."),
     ] = None
     operating_points: Annotated[
         int | None,
         Option(
             "--operating-points", metavar="N", callback=options.at_most(OPERATING_POINTS),
-            help=f"New operating points, {OPERATING_POINTS.range}; {DEFAULT_POINTS} if nothing else is driven.",
+            help=f"Number of operating points, {OPERATING_POINTS.range}; {DEFAULT_POINTS} if nothing else is driven.",
         ),
     ] = None  # fmt: skip
     drives: Annotated[
         int | None,
-        Option("--drives", metavar="N", callback=options.at_most(DRIVES), help=f"Drives of 60 s, {DRIVES.range}."),
+        Option(
+            "--drives", metavar="N", callback=options.at_most(DRIVES), help=f"Number of drives of 60 s, {DRIVES.range}."
+        ),
     ] = None
-    tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False
+    tests: Annotated[bool, Option("--tests", help="Also drive the paper's two tests.")] = False
     campaign: Annotated[
         str, Option("--campaign", metavar="NAME", hidden=True, help="Campaign of the schedules: name or .toml file.")
     ] = "road-sobol"
@@ -59,7 +61,7 @@ class EvaluateOptions:
         ),
     ] = None  # fmt: skip
     seed: Annotated[
-        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Selects operating points and drives.")
+        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Seed of operating points and drives.")
     ] = 7
     out: options.Page = None
     as_json: options.Json = False
@@ -67,7 +69,7 @@ class EvaluateOptions:
 
 @options.grouped
 def evaluate(arguments: EvaluateOptions) -> None:
-    """Compare schedules with the best constant, and with the optimum of each operating point.
+    """Compare schedules with the best constant and the optimum.
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
     """

@@ -57,7 +57,7 @@ class PlaceOptions:
         list[str],
         typer.Argument(
             metavar="SCENARIO|ROAD...",
-            help=f"Scenarios (a name of `scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}",
+            help=f"Scenarios (see `list scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}",
         ),
     ]
     profile: Annotated[

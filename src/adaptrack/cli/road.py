@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from adaptrack.road.holdable import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
-app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Check and draw roads: CSV points, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None
+)
 
 NOT_DRIVABLE = 1
 """The exit code when something of the road cannot be driven."""
@@ -52,11 +54,11 @@ class RoadOptions:
             "--max-deviation",
             metavar="M",
             hidden=True,
-            help=".csv: largest distance from a point (m); by default what the noise of the points needs.",
+            help=".csv: largest distance from a point (m); default: from the noise of the points.",
         ),
     ] = None
     closed: Annotated[
-        bool | None, Option("--closed/--open", hidden=True, help=".csv: whether it is a lap; by default as found.")
+        bool | None, Option("--closed/--open", hidden=True, help=".csv: lap or open road; default: detected.")
     ] = None
     road_id: Annotated[
         str | None, Option("--road", metavar="ID", hidden=True, help=".xodr: which road; .xml: lanelets.")
@@ -66,11 +68,11 @@ class RoadOptions:
         Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane, driven along the road (-1, ...)."),
     ] = None
     road_seed: Annotated[
-        int | None, Option("--road-seed", metavar="N", help="Generated: which road, by default 0.")
+        int | None, Option("--road-seed", metavar="N", help="Seed of a generated road; default: 0.")
     ] = None
-    length: Annotated[float | None, Option("--length", metavar="M", help="Generated: length (m), by default 2000.")] = (
-        None
-    )
+    length: Annotated[
+        float | None, Option("--length", metavar="M", help="Length of a generated road (m); default: 2000.")
+    ] = None
 
     margins: Annotated[
         bool | None,
@@ -153,7 +155,7 @@ class CheckOptions:
 @app.command()
 @options.grouped
 def check(arguments: CheckOptions) -> None:
-    """Say whether a car can drive a road; exit code 1 where not."""
+    """Check whether a car can drive a road; exit code 1 if not."""
     from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_result
 
@@ -184,7 +186,7 @@ class PlotOptions:
     road: RoadName
     vehicle: options.VehicleOption = "paper"
     route: RoadOptions
-    out: Annotated[Path, Option("--out", metavar="FILE", help="The picture.")] = Path("road.png")
+    out: Annotated[Path, Option("--out", metavar="FILE", help="PNG file of the picture.")] = Path("road.png")
 
 
 @app.command()

@@ -22,21 +22,23 @@ if TYPE_CHECKING:
 class ShadowOptions:
     """Options of `adaptrack shadow`."""
 
-    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Of one car, in their order: .csv or .parquet.")]
+    log: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs of one car in their order (.csv, .parquet).")
+    ]
     vehicle: options.VehicleOption
     path: Annotated[
         str | None,
-        Option("--path", metavar="ROAD", help="That was to be followed; by default x and y of the log, smoothed."),
+        Option("--path", metavar="ROAD", help="Road to follow; default: x and y of the log, smoothed."),
     ] = None
     log_columns: ColumnOptions
     without: Annotated[
         list[str] | None,
-        Option("--without", metavar="SIGNAL,...", help="Not used: vy, acceleration, wheel, x, y, yaw."),
+        Option("--without", metavar="SIGNAL,...", help="Signals to leave out: vy, acceleration, wheel, x, y, yaw."),
     ] = None
     profile: options.ProfileOption = "road"
     computation: Annotated[
         float | None,
-        Option("--computation", metavar="S", hidden=True, help="Of the dead time in the log, the controller's own."),
+        Option("--computation", metavar="S", hidden=True, help="Part of the dead time that the controller causes."),
     ] = None
     out: options.Page = None
     as_json: options.Json = False
@@ -44,7 +46,7 @@ class ShadowOptions:
 
 @options.grouped
 def shadow(arguments: ShadowOptions) -> None:
-    """Run over logs of a driver and steer nothing.
+    """Run the estimator over logs of a driver, without steering.
 
     What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would
     have warned of. Exit code 3 when the belief is not believable.

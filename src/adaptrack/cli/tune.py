@@ -26,33 +26,35 @@ TUNING_FILE = "tuning.toml"
 class TuneOptions:
     """Options of `adaptrack tune`."""
 
-    car: Annotated[str, Argument(metavar="CAR", help="Name (see `list cars`) or .toml file.")]
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the tuning, and for the car's file.")]
+    car: Annotated[str, Argument(metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the tuning and the car file.")]
     road: Annotated[
         list[str] | None,
         Option(
             "--road",
             metavar="ROAD",
-            help=f"Tune on these instead of random drives: country:3, a scenario, {ROADS_HELP}",
+            help=f"Tune on these roads: country:3, a scenario, {ROADS_HELP}",
         ),
     ] = None
     profile: options.ProfileOption = "road"
     speed: Annotated[
-        str | None, Option("--speed", metavar="LOW..HIGH", help="Of random drives, m/s; by default the car's domain.")
+        str | None,
+        Option("--speed", metavar="LOW..HIGH", help="Speeds of random drives (m/s); default: the car's domain."),
     ] = None
     friction: Annotated[
-        str | None, Option("--friction", metavar="LOW..HIGH", help="Of random drives; by default the car's domain.")
+        str | None,
+        Option("--friction", metavar="LOW..HIGH", help="Friction of random drives; default: the car's domain."),
     ] = None
     controller: Annotated[
         str | None,
-        Option("--controller", metavar="NAME", help="On given roads: see `list controllers`; by default informed."),
+        Option("--controller", metavar="NAME", help="With --road: see `list controllers`; default: informed."),
     ] = None
     length: Annotated[
-        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+        float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
     ] = None
     runs: Annotated[
         int | None,
-        Option("--runs", metavar="N", min=1, help="On given roads: closed loops of the search, default 300 tunings."),
+        Option("--runs", metavar="N", min=1, help="With --road: closed loops of the search; default: 300 tunings."),
     ] = None
     plant: options.PlantOption = "dual-track"
     plugin: options.Plugin = None
