@@ -36,17 +36,24 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     """Check whether the inputs of a loop contradict each other.
 
     Sign, unit, frame and clock of time, position, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle
-    and command. Exit code 3 where some do.
+    and command. The exit code is 3 where some do, 2 where nothing could be compared.
     """
+    from adaptrack.base.errors import InvalidInput
     from adaptrack.cars.vehicle import load_vehicle
-    from adaptrack.identification.loop_check import check_loop as check
+    from adaptrack.identification.loop_check import check_loop as check_log
     from adaptrack.identification.reading import read_columns
     from adaptrack.results.check_loop import check_result
 
-    read = read_columns(arguments.log, arguments.log_columns.reading)
-    result = check(read, None if arguments.vehicle is None else load_vehicle(arguments.vehicle))
-    show.say_result(check_result(result, str(arguments.log), read.notes), arguments.as_json)
-    if result.contradictions:
+    columns = read_columns(arguments.log, arguments.log_columns.reading)
+    check = check_log(columns, None if arguments.vehicle is None else load_vehicle(arguments.vehicle))
+    if not check.contradictions and not check.compared:
+        reason = check.limit or "no signal follows another."
+        raise InvalidInput(
+            f"log: nothing could be compared: {reason} Drive bends, and log speed with x, y and yaw, or yaw rate with "
+            "the command."
+        )
+    show.say_result(check_result(check, str(arguments.log), columns.notes), arguments.as_json)
+    if check.contradictions:
         raise typer.Exit(EXIT_CONTRADICTED)
     if not arguments.as_json:
         say_next("to identify the car", command("identify", arguments.log, "--car", arguments.vehicle or "CAR"))
