@@ -4,6 +4,7 @@ import dataclasses
 import json
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -26,16 +27,11 @@ def wild(n=60, size=7, start=1, **changes):
     rng = np.random.default_rng(start)
     costs, landscape = rng.exponential(size=n), rng.exponential(size=(n, size)).astype(np.float32)
     costs[-1] = landscape[-2:] = np.inf
+    weights = 10.0 ** rng.uniform((-1, -3), (1, -1), (n, 2))
+    tunings = np.column_stack([rng.integers(20, 50, n), rng.integers(1, 18, n), weights])
     arrays = {
         "operating_points": sobol(n, BOX, start),
-        "tunings": np.column_stack(
-            [
-                rng.integers(20, 50, n),
-                rng.integers(1, 18, n),
-                10.0 ** rng.uniform(-1, 1, n),
-                10.0 ** rng.uniform(-3, -1, n),
-            ]
-        ),
+        "tunings": tunings,
         "costs": costs,
         "standard_costs": 2.0 * costs,
         "traces": rng.exponential(size=(n, 4)).astype(np.float32),
@@ -63,7 +59,6 @@ def same(a, b):
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
     wild().save(tmp_path / "wild.parquet")
     same(DataSet.load(tmp_path / "wild.parquet"), wild())
-    same(load_dataset(str(tmp_path / "wild.parquet")), wild())
 
 
 def test_loading_a_data_set_loads_neither_compiler_nor_learner(run_python):
@@ -80,26 +75,19 @@ def test_the_shipped_data_sets_load_and_name_their_command():
         assert data.landscape.shape == (len(data), len(data.library))
 
 
-def test_a_damaged_file_is_refused_with_its_name(tmp_path):
+def test_a_damaged_or_edited_file_is_refused_with_its_name(tmp_path):
     file = tmp_path / "wild.parquet"
     wild().save(file)
-    content = file.read_bytes()
+    content, table = file.read_bytes(), pq.read_table(file)
     changed = bytearray(content)
     changed[3000] ^= 16
     for harm in (b"", b"not parquet", content[:-20], content[: len(content) // 2], bytes(changed)):
         file.write_bytes(harm)
         with pytest.raises(StorageError, match=r"wild\.parquet: .*damaged"):
             load_dataset(file)
-
-
-def test_a_file_that_another_program_has_edited_is_refused(tmp_path):
-    file = tmp_path / "wild.parquet"
-    wild().save(file)
-    table = pq.read_table(file)
-    schema = table.schema
-    about = json.loads(schema.metadata[b"about"])
-    forged = json.dumps({**about, "name": "better"}, sort_keys=True)
-    pq.write_table(table.replace_schema_metadata({**schema.metadata, b"about": forged.encode()}), file)
+    metadata = table.schema.metadata
+    forged = json.dumps({**json.loads(metadata[b"about"]), "name": "better"}, sort_keys=True)
+    pq.write_table(table.replace_schema_metadata({**metadata, b"about": forged.encode()}), file)
     with pytest.raises(StorageError, match="the checksum of its content does not fit"):
         load_dataset(file)
     pq.write_table(table.drop_columns(["cost"]), file)
@@ -107,24 +95,19 @@ def test_a_file_that_another_program_has_edited_is_refused(tmp_path):
         load_dataset(file)
 
 
-def test_a_file_of_another_version_is_refused_with_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "FORMAT_VERSION", 2)
+def test_other_versions_tables_and_folders_are_refused_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "DATA_SET_VERSION", 2)
     wild().save(tmp_path / "wild.parquet")
     monkeypatch.undo()
-    with pytest.raises(StorageError, match="format version 2, this adaptrack reads version 1: run its campaign again"):
-        load_dataset(tmp_path / "wild.parquet")
-
-
-def test_other_tables_are_refused(tmp_path):
-    import pyarrow as pa
-
     pq.write_table(pa.table({"x": [1.0]}), tmp_path / "x.parquet")
-    with pytest.raises(StorageError, match="holds no data set, but a table of another program"):
-        load_dataset(tmp_path / "x.parquet")
-    with pytest.raises(StorageError, match="cannot be read: No such file"):
-        load_dataset(tmp_path / "missing.parquet")
-    with pytest.raises(StorageError, match=r"holds no dataset\.parquet; if its campaign is not finished, run"):
-        load_dataset(tmp_path)
+    for path, words in (
+        (tmp_path / "wild.parquet", "format version 2, this adaptrack reads version 1: run its campaign again"),
+        (tmp_path / "x.parquet", "holds no data set, but a table of another program"),
+        (tmp_path / "missing.parquet", "cannot be read: No such file"),
+        (tmp_path, r"holds no dataset\.parquet; if its campaign is not finished, run"),
+    ):
+        with pytest.raises(StorageError, match=words):
+            load_dataset(path)
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
@@ -179,7 +162,7 @@ def test_a_split_is_the_same_every_time_another_for_another_seed_and_loses_nothi
     assert set(held.stream) != set(data.split(0.25, seed=2)[1].stream)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_twins_are_always_on_the_same_side_of_a_split(seed):
     # Also when the campaign computed both of them.
     rows = grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0])

@@ -106,8 +106,6 @@ def test_normal_draws_are_normal_and_apart_from_the_uniform_ones():
 
 
 # -- the paper's equations --------------------------------------------------------------------------------------------
-
-
 @given(
     st.integers(0, 200), st.integers(1, 200), st.floats(0.5, 1), st.floats(0, 0.5), st.floats(0, 50), st.floats(1, 5)
 )
@@ -127,10 +125,9 @@ def test_accelerations_follow_the_schedule_of_eq_20_over_the_papers_fifteen_gene
     assert c1 - 2.0 == pytest.approx(0.0255)  # nearly back where it began
 
 
-@pytest.mark.parametrize(("g", "range_"), [(20, 0), (21, 1), (35, 1), (36, 2), (75, 2), (76, 3), (100, 3), (0, 0)])
-def test_where_the_ranges_of_eq_20_share_an_end_the_first_wins(g, range_):
-    c1, _ = swarm.accelerations(g, 100, 0.0, 0.0, np.array([1.0, 2.0, 3.0, 4.0]))
-    assert c1 == range_ + 1
+def test_where_the_ranges_of_eq_20_share_an_end_the_first_wins():
+    numbers = [swarm.accelerations(g, 100, 0.0, 0.0, np.array([1.0, 2.0, 3.0, 4.0]))[0] for g in range(101)]
+    assert numbers == 21 * [1] + 15 * [2] + 40 * [3] + 25 * [4]
 
 
 def test_a_move_is_eq_18_with_counted_draws():
@@ -175,7 +172,7 @@ def test_every_position_is_in_the_space_and_no_velocity_exceeds_its_clamp(space,
 
 def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
     met = False
-    for seed in range(20):
+    for seed in range(5):
         # a cost that wants a long Nc and a short Np
         for x, _ in generations(Swarm(TUNING, seed=seed), lambda x: x[:, NP] - 2.0 * x[:, NC]):
             assert (x[:, :2] == np.round(x[:, :2])).all()
@@ -234,9 +231,6 @@ def test_bests_never_get_worse_and_are_the_costs_of_their_positions():
         before = state["best_costs"]
         assert state["progress"][swarm.LEADER_COST] == before.min()
         assert np.array_equal(hilly(state["leader"][None]), [before.min()])
-    result = minimise(hilly, TUNING, seed=8)
-    assert (np.diff(result.trace) <= 0).all()
-    assert result.trace[-1] == result.cost
 
 
 def test_of_equal_costs_the_first_particle_leads_and_only_better_ones_replace_it():
@@ -268,12 +262,11 @@ def test_ask_and_tell_find_what_minimise_finds():
     while not run.is_done:
         assert np.array_equal(run.ask(), run.ask())
         run.tell(hilly(run.ask()))
-    whole = minimise(hilly, TUNING, seed=6, stream=2)
-    assert np.array_equal(run.best.x, whole.x)
-    assert run.best.cost == whole.cost
-    assert np.array_equal(run.trace, whole.trace)
-    assert whole.evaluations == 300
-    assert np.array_equal(whole.cost, hilly(whole.x[None])[0])
+    result = minimise(hilly, TUNING, seed=6, stream=2)
+    assert np.array_equal(run.best.x, result.x)
+    assert np.array_equal(run.trace, result.trace)
+    assert run.best.cost == result.cost == result.trace[-1] == hilly(result.x[None])[0]
+    assert result.evaluations == 300
 
 
 @exported(void(int64, int64, int64, vector, matrix, Place(swarm.Particles), vector), name="swarm_of_a_test")
@@ -321,9 +314,6 @@ def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
         assert np.array_equal(resumed.best.x, states[-1]["leader"])
 
 
-# -- invariances ------------------------------------------------------------------------------------------------------
-
-
 # -- costs that are no numbers ----------------------------------------------------------------------------------------
 def test_costs_of_nan_count_as_infinite():
     def lost(value):
@@ -343,51 +333,45 @@ def test_a_swarm_that_never_sees_a_finite_cost_survives_and_says_so():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"particles": 0}, "particles = 0: must be a whole number >= 1"),
-        ({"generations": 0}, "generations = 0"),
-        ({"generations": 1.5}, "generations = 1.5"),
-        ({"kind": "modern"}, "must be one of 'improved', 'classic'"),
-        ({"lambda2": 0.0}, "lambda2 = 0.0"),
-        ({"lambda1": math.nan}, "lambda1 = nan"),
-        ({"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
-        ({"c1": -1.0}, "c1 = -1.0"),
-        ({"steps": (0.0, 0.0)}, "steps"),
-        ({"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
-        ({"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
-        ({"particels": 20}, "Did you mean 'particles'"),
-    ],
-)
-def test_bad_settings_are_refused_with_the_reason(changes, words):
-    with pytest.raises(InvalidInput) as refusal:
-        SwarmSettings(**changes)
-    assert words in str(refusal.value)
+def decades(low=1.0, integers=()):
+    return SearchSpace(names=("a",), low=(low,), high=(10.0,), decades=("a",), integers=integers)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("make", "changes", "words"),
     [
-        ({"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
-        ({"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
-        ({"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
-        ({"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole numbers"),
-        ({"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
-        ({"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound of Np"),
-        ({"ordered": ("Nc", "Q")}, "both of whole or both of real"),
-        ({"ordered": ("Nc", "Nc")}, "give two dimensions"),
-        ({"ordered": ("Nc", "N")}, "'N' is not one of the names"),
-        ({"integers": ("nc",)}, "'nc' is not one of the names"),
-        ({"ordered": None}, "spread = 2"),
-        ({"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
-        ({"spread": 0.5}, "spread = 0.5"),
-        ({"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
+        (SwarmSettings, {"particles": 0}, "particles = 0: must be a whole number >= 1"),
+        (SwarmSettings, {"generations": 1.5}, "generations = 1.5"),
+        (SwarmSettings, {"kind": "modern"}, "must be one of 'improved', 'classic'"),
+        (SwarmSettings, {"lambda2": 0.0}, "lambda2 = 0.0"),
+        (SwarmSettings, {"lambda1": math.nan}, "lambda1 = nan"),
+        (SwarmSettings, {"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
+        (SwarmSettings, {"c1": -1.0}, "c1 = -1.0"),
+        (SwarmSettings, {"steps": (0.0, 0.0)}, "steps"),
+        (SwarmSettings, {"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
+        (SwarmSettings, {"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
+        (SwarmSettings, {"particels": 20}, "Did you mean 'particles'"),
+        (TUNING.replace, {"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
+        (TUNING.replace, {"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
+        (TUNING.replace, {"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
+        (TUNING.replace, {"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole numbers"),
+        (TUNING.replace, {"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
+        (TUNING.replace, {"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound"),
+        (TUNING.replace, {"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
+        (TUNING.replace, {"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
+        (TUNING.replace, {"ordered": ("Nc", "Q")}, "both of whole or both of real"),
+        (TUNING.replace, {"ordered": ("Nc", "Nc")}, "give two dimensions"),
+        (TUNING.replace, {"ordered": ("Nc", "N")}, "'N' is not one of the names"),
+        (TUNING.replace, {"ordered": None}, "spread = 2"),
+        (TUNING.replace, {"integers": ("nc",)}, "'nc' is not one of the names"),
+        (TUNING.replace, {"spread": 0.5}, "spread = 0.5"),
+        (decades, {"low": 0.0}, "decades"),
+        (decades, {"integers": ("a",)}, "decades"),
     ],
 )
-def test_spaces_that_are_none_are_refused_with_the_reason(changes, words):
+def test_bad_settings_and_spaces_are_refused_with_the_reason(make, changes, words):
     with pytest.raises(InvalidInput) as refusal:
-        TUNING.replace(**changes)
+        make(**changes)
     assert words in str(refusal.value)
 
 
@@ -443,9 +427,3 @@ def test_searching_by_decades_finds_a_minimum_that_lies_decades_away():
     space = SearchSpace(names=("a",), low=(1e-6,), high=(1e6,), decades=("a",))
     found = minimise(lambda x: (np.log10(x[:, 0]) - 4.0) ** 2, space, SwarmSettings(generations=60), seed=1)
     assert found.x[0] == pytest.approx(1e4, rel=0.05)
-
-
-@pytest.mark.parametrize(("low", "integers"), [((0.0,), ()), ((1.0,), ("a",))])
-def test_decades_need_positive_real_bounds(low, integers):
-    with pytest.raises(InvalidInput, match="decades"):
-        SearchSpace(names=("a",), low=low, high=(10.0,), decades=("a",), integers=integers)

@@ -112,6 +112,9 @@ def test_every_controller_drives_every_test_with_and_without_preview_in_both_con
     assert {row[2] for row in ran} == {
         "standard-as-released", "standard-as-written", "best-constant", "lookup", "nn", "anfis",
     }  # fmt: skip
+    for row in made.rows:
+        if row["configuration"] == "same-moves":
+            assert (row["moves"] == "pulse") == (row["controller"] != "standard-as-released")
 
 
 def test_the_papers_errors_stand_beside_the_runs_that_they_compare_with(made):
@@ -145,25 +148,10 @@ def test_the_standard_mpc_does_not_depend_on_what_was_learned(made):
         assert found == pytest.approx(figures, rel=0.02)
 
 
-def test_with_the_same_moves_all_but_the_controller_as_released_have_pulses(made):
-    for row in made.rows:
-        if row["configuration"] == "same-moves":
-            assert (row["moves"] == "pulse") == (row["controller"] != "standard-as-released")
-
-
 def test_all_that_was_measured_is_strict_json(made):
     found = json.loads(json.dumps(made.as_json(), allow_nan=False))
-    assert found.keys() >= {
-        "rows",
-        "ablation",
-        "shares",
-        "knowing",
-        "learning",
-        "domain",
-        "constant",
-        "seconds",
-        "quick",
-    }
+    keys = "rows", "ablation", "shares", "knowing", "learning", "domain", "constant", "seconds", "quick"
+    assert found.keys() >= set(keys)
     assert len(found["learning"]) == 8
     assert found["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
 
@@ -203,13 +191,9 @@ def test_the_ablation_has_every_moves_with_every_tuning(made):
 
 def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
     table = Constant(paper.PAPER_TABLE)
-    rows = paper.ablation(
-        paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness"),
-        [paper.load_scenario("sine", duration=3.0)],
-        paper.PAPER_TABLE,
-        {"nn": table, "anfis": table},
-        LIBRARY,
-    )
+    plant = paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness")
+    scenarios = [paper.load_scenario("sine", duration=3.0)]
+    rows = paper.ablation(plant, scenarios, paper.PAPER_TABLE, {"nn": table, "anfis": table}, LIBRARY)
     for row in paper.shares(rows):
         assert row["adaptation"] == pytest.approx(1.0)
         assert row["pole_share"] == pytest.approx(1.0)
@@ -253,13 +237,10 @@ def test_the_parts_of_the_gain_add_up(errors):
             assert row["pole_share"] + row["adaptation_share"] == pytest.approx(1.0)
 
 
-def test_independent_parts_are_found_exactly():
+def test_independent_parts_are_found_exactly_and_a_run_without_an_error_has_no_shares():
     for row in paper.shares(corners(8.0, 2.0, 4.0, 1.0)):
         assert (row["pole"], row["adaptation"]) == pytest.approx((4.0, 2.0))
         assert row["pole_share"] == pytest.approx(2.0 / 3.0)
-
-
-def test_a_run_without_an_error_has_no_shares():
     for row in paper.shares(corners(8.0, 2.0, None, 1.0)):
         assert all(row[key] is None for key in ("gain", "pole", "adaptation", "pole_share", "adaptation_share"))
 

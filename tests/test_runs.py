@@ -59,11 +59,11 @@ def test_the_cost_of_a_run_is_that_of_its_trajectory_and_a_segment_has_its_part(
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("segment", [1, 7, 80, 200])
-def test_the_segments_of_a_run_add_up_to_its_cost(segment):
-    runs = run_set(segment=segment)
-    parts = runs.segments(START, 5, np.arange(len(runs)))
-    np.testing.assert_allclose(parts.sum(axis=1) / runs.periods, runs.drive(START, [5])[:, 0], rtol=1e-12)
+def test_the_segments_of_a_run_add_up_to_its_cost():
+    for segment in (1, 7, 80, 200):
+        runs = run_set(segment=segment)
+        parts = runs.segments(START, 5, np.arange(len(runs)))
+        np.testing.assert_allclose(parts.sum(axis=1) / runs.periods, runs.drive(START, [5])[:, 0], rtol=1e-12)
 
 
 @pytest.mark.compiled
@@ -102,11 +102,8 @@ def test_a_run_that_spins_has_failed_though_it_stays_on_the_road():
 
 @pytest.mark.compiled
 def test_a_failed_run_counts_as_costing_what_leaving_the_road_does():
-    scenarios = [
-        load_scenario("lane-change", speed=10.0, friction=0.6, amplitude=1.0, duration=8.0),
-        *lane_changes(1, 8.0),
-    ]
-    runs = run_set(scenarios)
+    hasty = load_scenario("lane-change", speed=10.0, friction=0.6, amplitude=1.0, duration=8.0)
+    runs = run_set([hasty, *lane_changes(1, 8.0)])
     found = runs.drive(np.stack([HASTY.as_array(), START.as_array()]), [2, 3])
     assert np.isinf(found[0, 0])
     assert np.isfinite(found[1]).all()
@@ -169,10 +166,10 @@ def test_the_counts_of_a_run_set_are_those_of_its_schedule():
 FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 
 
-@pytest.mark.parametrize(("delay", "periods"), [(0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)])
-def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start(delay, periods):
-    for known, truth in zip(Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_array_equal(known, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
+def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start():
+    for delay, periods in ((0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)):
+        for known, truth in zip(Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
+            np.testing.assert_array_equal(known, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
 
 
 def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
@@ -195,14 +192,10 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     assert abs(np.corrcoef(*errors)[0, 1]) < 0.03
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"noise": -0.1}, {"delay": -1.0}, {"bias": math.nan}, {"nominal_friction": -0.5}, {"noise": math.inf}],
-    ids=str,
-)
-def test_a_perception_refuses_what_cannot_be(wrong):
-    with pytest.raises(InvalidInput, match=next(iter(wrong))):
-        Perception(**wrong)
+def test_a_perception_refuses_what_cannot_be():
+    for name, value in {"noise": -0.1, "delay": -1.0, "bias": math.nan, "nominal_friction": -0.5}.items():
+        with pytest.raises(InvalidInput, match=name):
+            Perception(**{name: value})
 
 
 def tunings_of(batch, schedule, seed=0):
