@@ -10,9 +10,8 @@ import sys
 
 import pytest
 
-from adaptrack import cli
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.cli.next_step import again, instead
+from adaptrack.cli.next_step import repeat_command_with, replace_option
 from adaptrack.results import answers
 from test_snippets import parse
 
@@ -20,13 +19,11 @@ pytestmark = pytest.mark.compiled
 
 
 @pytest.fixture
-def lines(monkeypatch, capsys):
+def lines(run_command):
     """What a command prints, line by line; of `--json` the object."""
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
-        cli.main()
-        out = capsys.readouterr().out
+        out = run_command(*arguments)[1]
         return json.loads(out) if "--json" in arguments else out.splitlines()
 
     return run
@@ -113,8 +110,9 @@ def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():
     assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.of_car(car)
 
 
-def test_a_command_line_is_made_again_with_more_words_or_another_value(monkeypatch):
+def test_a_command_line_is_repeated_with_more_words_or_another_value(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["adaptrack", "drive", "my road.csv", "--speed", "40.0"])
-    assert again("--learn") == "adaptrack drive 'my road.csv' --speed 40.0 --learn"
-    assert instead("--speed", 28.0) == "adaptrack drive 'my road.csv' --speed 28.0"
-    assert instead("--lateral-acceleration", 2) == "adaptrack drive 'my road.csv' --speed 40.0 --lateral-acceleration 2"
+    command = "adaptrack drive 'my road.csv' --speed"
+    assert repeat_command_with("--learn") == f"{command} 40.0 --learn"
+    assert replace_option("--speed", 28.0) == f"{command} 28.0"
+    assert replace_option("--lateral-acceleration", 2) == f"{command} 40.0 --lateral-acceleration 2"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import adaptrack as at
@@ -218,6 +219,7 @@ def test_all_contenders_drive_the_same_roads_with_the_same_noise_and_the_same_ef
     assert len({tuple(each) for each in runs.values()}) == 1
     assert {each["loops"] for each in made.cells.values()} == {10}
     assert np.isfinite(rows["rms_error"]).all()
+    assert pq.read_table(tmp_path / study.RUNS_FILE).num_rows == 2 * 2 * 2
 
 
 @pytest.mark.compiled
@@ -242,29 +244,3 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
     assert json.dumps(again.cells[driven[0]], sort_keys=True) == json.dumps(first.cells[driven[0]], sort_keys=True)
     run_comparison(tiny(budget=0, seeds=[0, 2]), tmp_path)
     assert len(driven) == 5
-
-
-@pytest.mark.compiled
-def test_the_command_writes_a_page_and_every_run(tmp_path: Path):
-    import pyarrow.parquet as pq
-    from typer.testing import CliRunner
-
-    from adaptrack.base.files import write_toml
-    from adaptrack.cli.app import app
-
-    write_toml(
-        tmp_path / "tiny.toml", TINY | {"contenders": ["informed", "pure-pursuit", "nn"], "cars": ["paper", "van"]}
-    )
-    out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["compare", "--config", str(tmp_path / "tiny.toml"), "--out", str(out), "--json"])
-    assert done.exit_code == 0, done.exception
-    result = json.loads(done.stdout)
-    rows = result["profiles"]["road"]
-    assert [row["rank"] for row in rows] == sorted(row["rank"] for row in rows)
-    assert {row["label"]: row["runs"] for row in rows}["nn"] == 2, "it was made for the paper's car"
-    assert [(cell["contender"], cell["car"]) for cell in result["left_out"]] == [("nn", "van")]
-    page = (out / "index.html").read_text()
-    headline = f"{rows[0]['label']}; 0 of {sum(row['runs'] for row in rows)} runs failed."
-    assert page.index(headline) < page.index("<table")
-    assert "was made for the car" in page
-    assert pq.read_table(out / study.RUNS_FILE).num_rows == 2 * (2 * 4 + 1)

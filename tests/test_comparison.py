@@ -11,45 +11,19 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.statistics import RESAMPLES
 from adaptrack.cars.plant import SingleTrack
-from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison, ContenderRole, finite
-from adaptrack.control.controllers import (
-    LQR,
-    Tuning,
-    UserController,
-    get_controller,
-    published_mpc,
-    register_controller,
-)
+from adaptrack.control.controllers import LQR, Tuning, UserController, get_controller, register_controller
 from adaptrack.control.scheduling import Constant, Guarded, Learned
 from adaptrack.core import guard
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import simulate
-from adaptrack.scenario import load_scenario
-from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import RunSet, operating_point_runs
+from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
 
-FAILED_COST = 25.0
-CAR = load_vehicle("paper")
-START = Tuning(29, 5, 1.0, 4000.0)
-HASTY = Tuning(30, 10, 1.0, 10.0)
-"""Steers on every bit of noise: fails."""
-
-
-def controller(**options):
-    return published_mpc(CAR, START, period=load_profile("road").period, preview=True, **options)
-
-
-def run_set(n=4, duration=3.0):
-    rng = np.random.default_rng(8)
-    runs = [
-        load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w, duration=duration)
-        for v, y, mu, w in rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (n, 4))
-    ]
-    return RunSet(SingleTrack(CAR), controller(), runs)
+FAILED_COST = RunSet.failure.distance**2
 
 
 class Rated(RunSet):
@@ -103,9 +77,8 @@ def test_known_regrets_give_their_geometric_mean_and_percentiles():
 def test_regret_is_taken_run_by_run():
     """Not as the ratio of two means: where one is better and where the other counts."""
     costs = {"a": np.array([1.0, 4.0]), "b": np.array([4.0, 1.0])}
-    row = Comparison.from_runs({name: {"cost": each, "failed": np.zeros(2)} for name, each in costs.items()}, "a").rows()[
-        1
-    ]
+    runs = {name: {"cost": values, "failed": np.zeros(2)} for name, values in costs.items()}
+    _, row = Comparison.from_runs(runs, "a").rows()
     assert row["regret_geomean"] == pytest.approx(1.0)
     assert row["regret_worst"] == pytest.approx(4.0)
 
@@ -155,15 +128,10 @@ def test_costs_and_failures_of_a_comparison_are_those_of_the_runs():
 
 @pytest.mark.compiled
 def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_did():
-    runs = run_set()
+    runs = run_set(lane_changes(8, 6.0))
     narrow = Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
-    field = {
-        "constant": START,
-        "hasty": HASTY,
-        "schedule": Constant(START),
-        "narrow": narrow,
-        "guarded": Guarded(narrow, START),
-    }
+    field = {"constant": START, "hasty": HASTY, "schedule": Constant(START), "narrow": narrow}
+    field["guarded"] = Guarded(narrow, START)
     heard = []
     made = compare(runs, entered(**field), [3, 4], "constant", progress=lambda *at: heard.append(at))
     np.testing.assert_array_equal(made.costs["constant"], runs.costs(START, [3, 4]))
@@ -250,21 +218,17 @@ NAMES = ("lqr", "pure-pursuit", "stanley")
 
 @pytest.mark.compiled
 def test_registered_controllers_and_a_compiled_one_of_ones_own_cost_what_simulate_says():
-    runs = run_set(2, 3.0)
+    runs = run_set(lane_changes(2, 3.0))
     laws = {name: get_controller(name, CAR, profile="road", offered={"period": runs.mpc.period}) for name in NAMES}
     entered = [Contender("standard", Tuning()), *(Contender(name, law) for name, law in laws.items())]
     entered.append(Contender("mine", owned(runs)))
     made = compare(runs, entered, [3, 4], "standard")
-    for each in entered[1:]:
-        driven = [
-            [
-                simulate(runs.plant, each.policy, scenario, profile="road", seed=seed, failure=runs.failure)
-                for seed in (3, 4)
-            ]
+    for name, policy in ((contender.name, contender.policy) for contender in entered[1:]):
+        costs = [
+            [compute_metrics(simulate(runs.plant, policy, scenario, profile="road", seed=seed)).cost for seed in (3, 4)]
             for scenario in runs.scenarios
         ]
-        costs = [[compute_metrics(run).cost for run in both] for both in driven]
-        np.testing.assert_allclose(made.costs[each.name], np.mean(costs, axis=1), rtol=1e-9, err_msg=each.name)
+        np.testing.assert_allclose(made.costs[name], np.mean(costs, axis=1), rtol=1e-9, err_msg=name)
     rows = {row["contender"]: row["controller"] for row in made.rows()}
     assert rows["mine"] == "proportional"
     assert len(set(rows.values())) == 5

@@ -2,7 +2,6 @@
 
 import importlib
 import inspect
-import json
 import math
 import re
 import sys
@@ -209,17 +208,6 @@ def plugged(run_command, monkeypatch, tmp_path):
 
     yield run
     sys.modules.pop("bicycles", None)
-
-
-def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged):
-    scenario = ["lane-change", "-o", "amplitude=2.0", "-o", "speed=10.0", "-o", "duration=3.0", "--profile", "road"]
-    tuning = ["--np", "30", "--nc", "5", "--q", "1", "--r", "300"]
-    plant = ["--plugin", "bicycles", "--plant", "bicycle"]
-    code, out, _ = plugged("drive", *scenario, *tuning, *plant, "--out", "run", "--json")
-    (row,) = json.loads(out)["rows"]
-    assert code == 0
-    assert (row["plant"], row["failed"]) == ("Bicycle", None)
-    assert "Bicycle" in Path("run/index.html").read_text()
 
 
 def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged):

@@ -5,13 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import get_plant
 from adaptrack.cars.vehicle import GRAVITY, load_vehicle
-from adaptrack.cli.app import app
 from adaptrack.comparison import entry_speed as module
 from adaptrack.comparison.entry_speed import (
     TUNING_SEEDS,
@@ -59,11 +57,10 @@ class TestLaneChange:
         assert one.cones.shape == (12, 2)
 
     def test_beside_the_middle_of_a_lane_the_margin_is_what_is_left(self):
-        assert clearance(LANE, BOX, *straight(0.0)).least == pytest.approx(0.6)
-        assert clearance(LANE, BOX, *straight(0.4)).least == pytest.approx(0.2)
-        beyond = clearance(LANE, BOX, *straight(-0.7))
-        assert beyond.least == pytest.approx(-0.1)
-        assert not beyond.clean
+        for y, margin in ((0.0, 0.6), (0.4, 0.2), (-0.7, -0.1)):
+            result = clearance(LANE, BOX, *straight(y))
+            assert result.least == pytest.approx(margin)
+            assert result.clean == (margin > 0.0)
 
     def test_a_straight_line_across_a_lane_passes_its_cones_at_their_distance_from_the_side(self):
         heading = 0.2
@@ -210,16 +207,14 @@ class TestEntrySpeed:
 
 
 @pytest.mark.compiled
-def test_the_command_gives_a_table_and_a_page(monkeypatch, tmp_path):
+def test_the_command_gives_a_table_and_a_page(run_command, monkeypatch, tmp_path):
     grid = module.LANE_CHANGES["iso3888-2"]._replace(speeds=(30.0, 35.0, 80.0), tuned_at=40.0)
     monkeypatch.setitem(module.LANE_CHANGES, "iso3888-2", grid)
     command = ["compare", "--lane-change", "iso3888-2", "--vehicle", "compact-ev", "--controller", "pure-pursuit"]
-    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.exception
-    assert "Clean to" in done.stdout
+    code, out, err = run_command(*command, "--out", tmp_path)
+    assert code == 0, err
+    assert "Clean to" in out
     assert (tmp_path / "compact-ev-road.png").read_bytes().startswith(b"\x89PNG")
-    rows = json.loads(CliRunner().invoke(app, [*command, "--budget", "0", "--json"]).stdout)["rows"]
-    assert [(row["vehicle"], row["controller"], row["tuned"]) for row in rows] == [
-        ("compact-ev", "pure-pursuit", False)
-    ]
-    assert len(rows[0]["margins"]) == 3
+    (row,) = json.loads(run_command(*command, "--budget", "0", "--json")[1])["rows"]
+    assert (row["vehicle"], row["controller"], row["tuned"]) == ("compact-ev", "pure-pursuit", False)
+    assert len(row["margins"]) == 3

@@ -98,20 +98,6 @@ def test_it_is_tuned_within_its_bounds_and_compared_with_others(run):
     assert driven["controller"] == "heading-law, tuning"
 
 
-def test_it_takes_part_in_a_comparison_on_cars_and_roads_with_a_page(run):
-    Path("mine.toml").write_text(
-        'contenders = ["pure-pursuit", "heading-law"]\ncars = ["paper/bicycle", "paper/single-track"]\n'
-        'profiles = ["road"]\ntraining = ["country:101"]\nroads = ["country:1"]\nlength = 120.0\n'
-        "training_length = 110.0\nseeds = [0]\nbudget = 10\nentry_speeds = false\n"
-    )
-    made = run("compare", "--config", "mine.toml", "--plugin", "newcomers_module", "--out", "compared")
-    labels = {row["label"]: row for row in made["profiles"]["road"]}
-    assert {"heading-law, default", "heading-law, tuned"} <= set(labels)
-    assert labels["heading-law, tuned"]["runs"] == 2
-    assert not made["left_out"]
-    assert "heading-law, tuned" in Path("compared/index.html").read_text(encoding="utf-8")
-
-
 def test_its_plant_is_steered_by_its_controller_in_an_environment(run):
     gymnasium = pytest.importorskip("gymnasium")
     import adaptrack.gym  # noqa: F401 - registers the environments

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.paper import ANFIS, MLP, TARGETS, train
+from adaptrack.paper import ANFIS, MLP, TARGET_SLOTS, train
 from adaptrack.paper import training as module
-from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.operating_points import POINT_NAMES, fold, grid, mirrored, sobol
+from small_data import plain
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
@@ -23,22 +23,7 @@ def tuned(conditions, noise=0.0):
     Np = 20.0 + speed + noise * rng.normal(size=len(conditions))[family]
     Nc = 2.0 + np.abs(y_ref) / 3.0
     Q, R = 1.0 + friction * np.abs(y_ref), 10.0 ** (-3.0 + speed / 30.0 + (wind * y_ref) / 900.0)
-    n = len(conditions)
-    return DataSet(
-        operating_points=conditions,
-        tunings=np.column_stack((Np, Nc, Q, R)),
-        costs=np.ones(n),
-        standard_costs=np.ones(n),
-        traces=np.ones((n, 1)),
-        landscape=np.ones((n, 1)),
-        library=np.ones((1, 4)),
-        evaluations=np.ones(n),
-        control_steps=np.ones(n),
-        stream=np.arange(n),
-        mirrored_from=np.full(n, -1),
-        seed=np.zeros(n),
-        provenance={"name": "smooth", "identity": "abc"},
-    )
+    return plain(conditions, tunings=np.column_stack((Np, Nc, Q, R)), provenance={"name": "smooth", "identity": "abc"})
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -47,6 +32,12 @@ def few_trees():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "TREES", 60)
         yield
+
+
+@pytest.fixture
+def no_ceiling(monkeypatch):
+    """No boosted trees: their predictions are the truth."""
+    monkeypatch.setattr(module, "ceiling", lambda x, y, x_held, y_held, seed: y_held)
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +52,10 @@ def trained(request, dataset):
 
 @pytest.mark.parametrize("model", ["nn", "anfis"])
 @pytest.mark.parametrize("targets", ["paper", "ratio"])
-def test_each_slot_gets_a_model_of_its_own_target(dataset, model, targets):
+def test_each_slot_gets_a_model_of_its_own_target(no_ceiling, dataset, model, targets):
     made = train(dataset, model, targets, **OPTIONS[model] | {"epochs": 2})
     assert (made.model, made.targets, made.inputs) == (model, targets, POINT_NAMES)
-    assert tuple(made.estimators) == tuple(row["slot"] for row in made.quality) == TARGETS[targets]
+    assert tuple(made.estimators) == tuple(row["slot"] for row in made.quality) == TARGET_SLOTS[targets]
     assert {type(each) for each in made.estimators.values()} == {MLP if model == "nn" else ANFIS}
     learned, _ = dataset.split(0.2, 0)
     expected = dict(zip(("Np", "Nc", "Q", "R"), learned.tunings.T, strict=True))
@@ -96,7 +87,7 @@ def test_a_smooth_schedule_is_learned(dataset, trained):
         assert row["ceiling_rmse"] == pytest.approx(spread * np.sqrt(1.0 - row["ceiling_r2"]))
 
 
-def test_no_twin_of_a_held_out_condition_is_trained_on(monkeypatch):
+def test_no_twin_of_a_held_out_condition_is_trained_on(no_ceiling, monkeypatch):
     dataset = tuned(grid(speed=[5, 15, 25], y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, 0, 20]))
     seen = []
     fit = ANFIS.fit
@@ -120,7 +111,7 @@ def test_the_ceiling_has_not_seen_the_twins_of_what_it_predicts():
     assert -0.3 < r2 < 0.3
 
 
-def test_operating_points_where_every_tuning_fails_teach_nothing(dataset):
+def test_operating_points_where_every_tuning_fails_teach_nothing(no_ceiling, dataset):
     costs, tunings = dataset.costs.copy(), dataset.tunings.copy()
     costs[:40], tunings[:40] = np.inf, 1e6
     rows = train(dataclasses.replace(dataset, costs=costs, tunings=tunings), "anfis", epochs=0).quality
@@ -138,7 +129,7 @@ def test_a_target_that_never_changes_has_no_r2_and_no_error(dataset):
         assert row["rmse"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_seed_chooses_the_hold_out_and_the_start(dataset):
+def test_the_seed_chooses_the_hold_out_and_the_start(no_ceiling, dataset):
     def weights(seed):
         return train(dataset, "nn", epochs=2, seed=seed).functions["Np"].weights[0]
 
@@ -146,15 +137,10 @@ def test_the_seed_chooses_the_hold_out_and_the_start(dataset):
     assert (weights(3) != weights(4)).any()
 
 
-def test_where_it_comes_from_is_told(dataset):
-    told = train(dataset, "anfis", holdout=0.3, seed=5, epochs=0).provenance
-    assert told == {
-        "dataset": "smooth",
-        "identity": "abc",
-        "holdout": 0.3,
-        "seed": 5,
-        "options": {"random_state": 5, "epochs": 0},
-    }
+def test_where_it_comes_from_is_told(no_ceiling, dataset):
+    provenance = train(dataset, "anfis", holdout=0.3, seed=5, epochs=0).provenance
+    options = {"random_state": 5, "epochs": 0}
+    assert provenance == {"dataset": "smooth", "identity": "abc", "holdout": 0.3, "seed": 5, "options": options}
 
 
 @pytest.mark.parametrize(("bad", "message"), [
