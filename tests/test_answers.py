@@ -52,10 +52,10 @@ def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tm
 
 
 def test_the_best_of_several_controllers_is_named_first(lines):
-    asked = (*DRIVE, "--controller", "pure-pursuit", "--controller", "informed")
-    rows = {row["controller"]: row for row in lines(*asked, "--json")["rows"]}
+    command = (*DRIVE, "--controller", "pure-pursuit", "--controller", "informed")
+    rows = {row["controller"]: row for row in lines(*command, "--json")["rows"]}
     assert rows["informed"]["mse"] < rows["pure-pursuit"]["mse"]
-    first = lines(*asked)[0]
+    first = lines(*command)[0]
     assert first.startswith(f"informed: {answers.length(rows['informed']['rms_error'])} RMS error, largest ")
     assert first.endswith("0 of 2 runs failed.")
 
@@ -100,8 +100,8 @@ def test_thin_margins_are_called_thin_though_the_loop_is_stable(lines):
 
 def test_a_length_is_said_in_the_unit_in_which_one_says_it():
     values = (0.0004, 0.016, 0.9, 1.25, 76.0, 2510.0, math.nan)
-    said = ["0.4 mm", "1.6 cm", "90 cm", "1.25 m", "76 m", "2.51 km", "unknown"]
-    assert list(map(answers.length, values)) == said
+    texts = ["0.4 mm", "1.6 cm", "90 cm", "1.25 m", "76 m", "2.51 km", "unknown"]
+    assert list(map(answers.length, values)) == texts
 
 
 def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():

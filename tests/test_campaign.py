@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def whole(folder):
+def checksum(folder):
     return digest(folder / "dataset.parquet")
 
 
@@ -161,8 +161,8 @@ def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_n
     car = load_vehicle("paper").replace(name="heavy")
     car.to_toml(tmp_path / "heavy.toml")
     base = CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity
-    for same in ({"chunk": "7"}, {"description": '"words"'}, {"duration": "18.0"}, {"mirror": "true"}):
-        assert CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"', **same))).identity == base, same
+    for changes in ({"chunk": "7"}, {"description": '"words"'}, {"duration": "18.0"}, {"mirror": "true"}):
+        assert CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"', **changes))).identity == base, changes
     for other in (
         {"seed": "1"},
         {"duration": "17.0"},
@@ -244,15 +244,15 @@ def test_sensor_noise_is_not_symmetric_so_nothing_is_mirrored_there():
 
 
 @pytest.mark.parametrize(("workers", "chunk"), [(2, 2), (1, 5)])
-def test_any_number_of_processes_and_any_size_of_part_gives_the_same_bytes(tmp_path, whole, workers, chunk):
-    assert digest(run_campaign(small_campaign(chunk=chunk), tmp_path, workers=workers)) == whole
+def test_any_number_of_processes_and_any_size_of_part_gives_the_same_bytes(tmp_path, checksum, workers, chunk):
+    assert digest(run_campaign(small_campaign(chunk=chunk), tmp_path, workers=workers)) == checksum
 
 
 def test_progress_counts_the_operating_points_to_compute(tmp_path, folder):
     reports = []
     copy_parts(folder, tmp_path, [0])
     run_campaign(small_campaign(), tmp_path, workers=1, progress=lambda *report: reports.append(report))
-    assert reports == [("campaign", done, 6) for done in range(1, 7)]
+    assert reports == [("campaign", steps, 6) for steps in range(1, 7)]
 
 
 # -- parts ------------------------------------------------------------------------------------------------------------
@@ -263,21 +263,21 @@ def copy_parts(folder: Path, target: Path, numbers) -> None:
         (target / name).write_bytes((folder / name).read_bytes())
 
 
-def test_parts_that_are_there_are_not_computed_again(tmp_path, folder, whole, monkeypatch):
+def test_parts_that_are_there_are_not_computed_again(tmp_path, folder, checksum, monkeypatch):
     copy_parts(folder, tmp_path, range(4))
     monkeypatch.setattr(module, "tune_point", None)
-    assert digest(run_campaign(small_campaign(), tmp_path)) == whole
+    assert digest(run_campaign(small_campaign(), tmp_path)) == checksum
 
 
-def test_an_interrupted_campaign_keeps_its_parts_and_continues_to_the_same_bytes(tmp_path, whole):
-    def interrupt(stage, done, total):
-        if done == 5:
+def test_an_interrupted_campaign_keeps_its_parts_and_continues_to_the_same_bytes(tmp_path, checksum):
+    def interrupt(stage, steps, total):
+        if steps == 5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         run_campaign(small_campaign(), tmp_path, workers=1, progress=interrupt)
     assert [file.name for file in sorted((tmp_path / "parts").iterdir())] == ["00000.parquet", "00001.parquet"]
-    assert digest(run_campaign(small_campaign(), tmp_path, workers=1)) == whole
+    assert digest(run_campaign(small_campaign(), tmp_path, workers=1)) == checksum
 
 
 KILLED = """
@@ -306,18 +306,18 @@ print(killed)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_killed_at_random_times_it_ends_in_the_same_bytes(run_python, project, tmp_path, whole):
+def test_killed_at_random_times_it_ends_in_the_same_bytes(run_python, project, tmp_path, checksum):
     assert int(run_python(str(tmp_path), str(project / "tests"), code=KILLED)) >= 1
-    assert digest(tmp_path / "dataset.parquet") == whole
+    assert digest(tmp_path / "dataset.parquet") == checksum
 
 
-def test_of_two_writers_the_last_wins_with_equal_bits(tmp_path, folder, whole):
+def test_of_two_writers_the_last_wins_with_equal_bits(tmp_path, folder, checksum):
     """Another process writes every part between our check and our rename."""
 
-    def other_writer(stage, done, total):
+    def other_writer(stage, steps, total):
         copy_parts(folder, tmp_path, range(4))
 
-    assert digest(run_campaign(small_campaign(), tmp_path, workers=1, progress=other_writer)) == whole
+    assert digest(run_campaign(small_campaign(), tmp_path, workers=1, progress=other_writer)) == checksum
     for number in range(4):
         name = f"parts/{number:05d}.parquet"
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
@@ -408,11 +408,13 @@ if __name__ == "__main__":
 
 @needs_dask
 @pytest.mark.slow
-def test_a_dask_cluster_gives_the_same_bytes_and_one_without_workers_is_refused(run_python, project, tmp_path, whole):
+def test_a_dask_cluster_gives_the_same_bytes_and_one_without_workers_is_refused(
+    run_python, project, tmp_path, checksum
+):
     script = tmp_path / "on_dask.py"  # a file: the workers import it, too
     script.write_text(ON_DASK)
     printed = run_python(str(script), str(project / "tests"), cwd=tmp_path)
-    assert digest(tmp_path / "out" / "dataset.parquet") == whole
+    assert digest(tmp_path / "out" / "dataset.parquet") == checksum
     assert "the scheduler has no workers; start one: dask worker tcp://127.0.0.1:" in printed
 
 

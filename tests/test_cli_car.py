@@ -29,9 +29,9 @@ def test_what_is_known_within_what_is_shown(run_command):
 
 def test_mass_and_wheelbase_make_a_car_that_loads_and_says_what_is_estimated(run_command, tmp_path):
     out = tmp_path / "new" / "my-car.toml"
-    code, said, _ = run_command("car", "--mass", 1500, "--wheelbase", 2.7, "--load", 75, "--lf", 1.2, "--out", out)
+    code, text, _ = run_command("car", "--mass", 1500, "--wheelbase", 2.7, "--load", 75, "--lf", 1.2, "--out", out)
     assert code == 0
-    assert "estimated" in said
+    assert "estimated" in text
     car = load_vehicle(out)
     assert (car.name, car.mass, car.lf, car.lr) == ("my-car", 1575.0, 1.2, pytest.approx(1.5))
     assert "stiffness_front" in car.estimated
@@ -42,10 +42,10 @@ def test_mass_and_wheelbase_make_a_car_that_loads_and_says_what_is_estimated(run
 
 def test_a_tyre_file_makes_a_tyre_beside_the_car_and_the_pair_may_be_moved(run_command, tmp_path):
     file, out = tir(tmp_path / "a.tir", BOOK), tmp_path / "new" / "mine.toml"
-    code, said, _ = run_command("car", "midsize-sedan", "--tir", file, "--out", out)
+    code, text, _ = run_command("car", "midsize-sedan", "--tir", file, "--out", out)
     assert code == 0
-    assert max(map(len, said.splitlines())) <= 80 + len(str(tmp_path))
-    assert "force off by at most" in said
+    assert max(map(len, text.splitlines())) <= 80 + len(str(tmp_path))
+    assert "force off by at most" in text
     car, tyre = load_vehicle(out), load_tyre(tmp_path / "new" / "mine-tyre.toml")
     assert load_tyre(car.tyre) == tyre
     assert tyre.name == "mine-tyre"
@@ -67,11 +67,11 @@ def test_a_tyre_file_alone_makes_a_tyre(run_command, tmp_path):
 
 def test_a_table_of_axle_forces_is_fitted_at_the_loads_of_the_car(run_command, tmp_path):
     code, out, _ = run_command("car", "sports-car", "--tyre-table", table(tmp_path / "axles.csv"), "--json")
-    found = json.loads(out)
+    result = json.loads(out)
     assert code == 0
-    assert found["tyre"]["deviation"] < 0.02
-    assert found["tyre"]["loads"][1] == pytest.approx(load_vehicle("sports-car").static_loads[0])
-    assert found["car"]["stiffness_front"] == pytest.approx(found["tyre"]["tyre"]["stiffness_front"], rel=1e-3)
+    assert result["tyre"]["deviation"] < 0.02
+    assert result["tyre"]["loads"][1] == pytest.approx(load_vehicle("sports-car").static_loads[0])
+    assert result["car"]["stiffness_front"] == pytest.approx(result["tyre"]["tyre"]["stiffness_front"], rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -58,17 +58,17 @@ def deadbeat(speed, measured, command, a, b, parameters, memory, x, d):
 
 def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steer by the offset and the yaw angle; count the steps in the memory."""
-    wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    angle = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
     last = situation[5]
     memory[0] += 1.0
     least, most = max(parameters[3], last + parameters[1]), min(parameters[4], last + parameters[2])
-    answer[0] = min(max(wanted, least), most) if math.isfinite(wanted) else last
+    answer[0] = min(max(angle, least), most) if math.isfinite(angle) else last
     answer[1] = memory[0]
 
 
-def same(one, other):
+def same(run, other):
     """Whether two trajectories hold the same numbers."""
-    columns = one.columns()
+    columns = run.columns()
     return all(
         np.array_equal(columns[name], values, equal_nan=True)
         for name, values in other.columns().items()
@@ -104,14 +104,14 @@ def test_a_model_that_leaves_an_entry_unwritten_is_refused():
 # -- an estimator of one's own ----------------------------------------------------------------------------------------
 def test_increments_of_the_measured_state_are_the_deadbeat_estimator():
     model = SingleTrackModel(CAR, 0.05)
-    own = UserEstimator(deadbeat, memory_size=lambda n: n + 1, label="written out")
-    check_estimator(own, model)
+    custom = UserEstimator(deadbeat, memory_size=lambda n: n + 1, label="written out")
+    check_estimator(custom, model)
     check_estimator(Deadbeat(), model)
     tuning = Tuning(25, 5, 1.0, 2.0)
     theirs = simulate(PLANT, published_mpc(CAR, tuning, period=0.05), LANE_CHANGE)
-    ours = simulate(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE)
+    ours = simulate(PLANT, MPC(CAR, tuning, period=0.05, estimator=custom), LANE_CHANGE)
     assert np.abs(ours.command - theirs.command).max() < 1e-9
-    assert same(ours, rollout(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE))
+    assert same(ours, rollout(PLANT, MPC(CAR, tuning, period=0.05, estimator=custom), LANE_CHANGE))
 
 
 def test_the_deadbeat_estimator_refuses_a_model_with_a_state_that_is_not_measured():
@@ -124,16 +124,16 @@ def test_the_deadbeat_estimator_refuses_a_model_with_a_state_that_is_not_measure
 
 # -- a compiled controller of one's own -------------------------------------------------------------------------------
 def test_a_compiled_controller_drives_alike_from_python_and_compiled_with_named_diagnostics():
-    own = UserController(
+    custom = UserController(
         proportional, tuning={"offset_gain": 0.05, "yaw_gain": 1.0}, memory_size=1, diagnostics=("steps",),
         period=0.05, label="proportional",
     )  # fmt: skip
-    check_controller(own)
-    run = simulate(PLANT, own, LANE_CHANGE)
-    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    check_controller(custom)
+    run = simulate(PLANT, custom, LANE_CHANGE)
+    assert same(run, rollout(PLANT, custom, LANE_CHANGE))
     assert run.diagnostics["steps"].tolist() == list(range(1, len(run) + 1))
     assert set(run.tuning) == {"offset_gain", "yaw_gain"}
-    batch = rollout_batch(PLANT, own, LANE_CHANGE, [[0.05, 1.0], [0.02, 0.5]])
+    batch = rollout_batch(PLANT, custom, LANE_CHANGE, [[0.05, 1.0], [0.02, 0.5]])
     assert batch.mse[0] == pytest.approx(np.mean(run.error**2), rel=1e-12)
     assert batch.mse[1] != batch.mse[0]
 
@@ -143,9 +143,9 @@ def test_a_law_that_answers_no_number_holds_the_last_command_alike_from_python_a
         memory[0] += 1.0
         answer[0] = math.nan if memory[0] % 3.0 == 0.0 else 0.001 * memory[0]
 
-    own = UserController(fails_at_times, memory_size=1, period=0.05, label="moody")
-    run = simulate(PLANT, own, LANE_CHANGE)
-    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    custom = UserController(fails_at_times, memory_size=1, period=0.05, label="moody")
+    run = simulate(PLANT, custom, LANE_CHANGE)
+    assert same(run, rollout(PLANT, custom, LANE_CHANGE))
     assert run.held.tolist() == [(k + 1) % 3 == 0 for k in range(len(run))]
     assert (np.diff(run.command)[1::3] == 0.0).all()
     assert run.failed is None
@@ -187,8 +187,8 @@ def test_a_tuning_drives_as_it_stands_though_the_mpc_of_the_runs_has_a_scheduler
     tuning, points = Tuning(30, 5, 1.0, 300.0), [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]]
     plain = published_mpc(CAR, tuning, period=0.05)
     scheduled = published_mpc(CAR, tuning, period=0.05, scheduler=Constant(Tuning(20, 3, 1.0, 3000.0)))
-    alone, beside = (operating_point_runs(plant, mpc, points, "road").drive(tuning, [3]) for mpc in (plain, scheduled))
-    np.testing.assert_array_equal(alone, beside)
+    sets = (operating_point_runs(plant, mpc, points, "road") for mpc in (plain, scheduled))
+    np.testing.assert_array_equal(*(runs.drive(tuning, [3]) for runs in sets))
 
 
 @pytest.fixture

@@ -49,9 +49,9 @@ def wild(n=60, size=7, start=1, **changes):
 
 def same(a, b):
     for name in ARRAYS:
-        one, two = getattr(a, name), getattr(b, name)
-        assert one.dtype == two.dtype, name
-        assert one.tobytes() == two.tobytes(), name
+        first, second = getattr(a, name), getattr(b, name)
+        assert first.dtype == second.dtype, name
+        assert first.tobytes() == second.tobytes(), name
     assert a.provenance == b.provenance
 
 
@@ -155,11 +155,11 @@ def test_rows_are_chosen_by_number_or_by_truth():
 # -- hold-out ---------------------------------------------------------------------------------------------------------
 def test_a_split_is_the_same_every_time_another_for_another_seed_and_loses_nothing():
     data = wild(200)
-    learn, held = data.split(0.25, seed=1)
-    assert (len(learn), len(held)) == (150, 50)
-    assert sorted([*learn.stream, *held.stream]) == list(range(200))
-    np.testing.assert_array_equal(held.stream, data.split(0.25, seed=1)[1].stream)
-    assert set(held.stream) != set(data.split(0.25, seed=2)[1].stream)
+    learn, holdout = data.split(0.25, seed=1)
+    assert (len(learn), len(holdout)) == (150, 50)
+    assert sorted([*learn.stream, *holdout.stream]) == list(range(200))
+    np.testing.assert_array_equal(holdout.stream, data.split(0.25, seed=1)[1].stream)
+    assert set(holdout.stream) != set(data.split(0.25, seed=2)[1].stream)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -167,11 +167,11 @@ def test_twins_are_always_on_the_same_side_of_a_split(seed):
     # Also when the campaign computed both of them.
     rows = grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0])
     data = wild(len(rows), operating_points=rows)
-    learn, held = data.split(0.3, seed)
-    both = {tuple(row) for row in learn.operating_points} & {tuple(row) for row in mirrored(held.operating_points)}
+    learn, holdout = data.split(0.3, seed)
+    both = {tuple(row) for row in learn.operating_points} & {tuple(row) for row in mirrored(holdout.operating_points)}
     assert not both
-    assert len(held) + len(learn) == len(rows)
-    assert len(fold(held.operating_points).representatives) == round(0.3 * len(fold(rows).representatives))
+    assert len(holdout) + len(learn) == len(rows)
+    assert len(fold(holdout.operating_points).representatives) == round(0.3 * len(fold(rows).representatives))
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan")])
@@ -219,9 +219,9 @@ def test_optima_at_the_bounds_of_the_search_are_counted():
 def test_a_description_survives_operating_points_where_every_tuning_fails():
     n = 60
     data = wild(n, costs=np.full(n, np.inf), standard_costs=np.full(n, np.inf), landscape=np.full((n, 7), np.inf))
-    said = describe(data)
-    assert json.dumps(said, allow_nan=False)
-    assert (said["costs"]["failed_by_all"], said["costs"]["library_failed"]) == (60, 1.0)
+    summary = describe(data)
+    assert json.dumps(summary, allow_nan=False)
+    assert (summary["costs"]["failed_by_all"], summary["costs"]["library_failed"]) == (60, 1.0)
 
 
 # -- pages ------------------------------------------------------------------------------------------------------------

@@ -38,17 +38,17 @@ def test_every_shipped_scheduler_says_for_which_car_and_profile_it_was_made():
 @pytest.mark.parametrize(("name", "car"), PAIRS)
 def test_a_shipped_scheduler_meets_another_car_with_a_word_and_its_own_without(name, car, caplog):
     """The controller is built; the schedule comes to a run set; the plant is of another car than the controller."""
-    schedule, own = SCHEDULERS[name], CARS[SCHEDULERS[name].made_for["car"]]
-    profile, other = schedule.made_for["profile"], car != own.name
+    schedule, own_car = SCHEDULERS[name], CARS[SCHEDULERS[name].made_for["car"]]
+    profile, other = schedule.made_for["profile"], car != own_car.name
     mpc = controller(schedule, CARS[car], schedule)
-    words = f"was made for the car '{own.name}', not '{car}'"
+    words = f"was made for the car '{own_car.name}', not '{car}'"
     assert (words in caplog.text) == other
     assert bool(mpc.mismatches(schedule, profile)) == other
     caplog.clear()
     RunSet(DualTrack(CARS[car]), controller(schedule, CARS[car]), [SHORT], profile)._warn_of(schedule)
     assert (words in caplog.text) == other
     caplog.clear()
-    Batch(DualTrack(CARS[car]), controller(schedule, own, schedule), [SHORT], profile)
+    Batch(DualTrack(CARS[car]), controller(schedule, own_car, schedule), [SHORT], profile)
     assert (words in caplog.text) == other
 
 

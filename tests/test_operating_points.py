@@ -115,12 +115,12 @@ def test_mirroring_leaves_speed_and_friction_and_makes_no_negative_zero():
 def test_folding_can_be_undone_and_leaves_no_twin(rows):
     rows = check_operating_points(rows)
     twins = fold(rows)
-    kept = rows[twins.representatives]
-    rebuilt = np.where(twins.sign[:, None] == 1, kept[twins.family], mirrored(kept)[twins.family])
+    represented = rows[twins.representatives]
+    rebuilt = np.where(twins.sign[:, None] == 1, represented[twins.family], mirrored(represented)[twins.family])
     np.testing.assert_array_equal(rebuilt, rows)
     assert (np.diff(twins.representatives) > 0).all()
-    families = {frozenset({tuple(a), tuple(b)}) for a, b in zip(kept, mirrored(kept), strict=True)}
-    assert len(families) == len(kept)  # no two of them are twins
+    families = {frozenset({tuple(a), tuple(b)}) for a, b in zip(represented, mirrored(represented), strict=True)}
+    assert len(families) == len(represented)  # no two of them are twins
     for i, row in enumerate(rows):  # the first of a family represents it
         family = [k for k in range(len(rows)) if (rows[k] == row).all() or (mirrored(rows[k : k + 1])[0] == row).all()]
         assert twins.representatives[twins.family[i]] == family[0]

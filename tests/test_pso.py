@@ -56,20 +56,20 @@ def spaces(draw):
     """Any box, with whole, fixed and ordered dimensions."""
     dims = draw(st.integers(1, 5))
     names = [f"x{d}" for d in range(dims)]
-    whole = [draw(st.booleans()) for _ in names]
+    integer = [draw(st.booleans()) for _ in names]
     low, high = [], []
-    for is_whole in whole:
+    for is_whole in integer:
         bound = st.integers(-30, 30).map(float) if is_whole else st.floats(-1e6, 1e6)
         a, b = sorted((draw(bound), draw(bound)))
         low.append(a)
         high.append(b)
-    pairs = [(i, j) for i, j in itertools.permutations(range(dims), 2) if whole[i] == whole[j] and low[i] <= low[j]]
+    pairs = [(i, j) for i, j in itertools.permutations(range(dims), 2) if integer[i] == integer[j] and low[i] <= low[j]]
     ordered = draw(st.sampled_from([None, *pairs]))
     return SearchSpace(
         names=tuple(names),
         low=tuple(low),
         high=tuple(high),
-        integers=tuple(name for name, is_whole in zip(names, whole, strict=True) if is_whole),
+        integers=tuple(name for name, is_whole in zip(names, integer, strict=True) if is_whole),
         ordered=None if ordered is None else (names[ordered[0]], names[ordered[1]]),
         spread=draw(st.floats(1, 4)) if ordered is not None and low[ordered[0]] >= 0 else 1.0,
     )
@@ -78,8 +78,8 @@ def spaces(draw):
 # -- counted random numbers -------------------------------------------------------------------------------------------
 def test_outputs_are_those_of_splitmix64():
     # the published sequence of the generator started at 1234567
-    known = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
-    assert [int(entry(random.output)(1234567, n)) for n in range(1, 6)] == known
+    outputs = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
+    assert [int(entry(random.output)(1234567, n)) for n in range(1, 6)] == outputs
 
 
 def test_compiled_draws_are_those_of_plain_integers(rng):
@@ -93,7 +93,7 @@ def test_compiled_draws_are_those_of_plain_integers(rng):
 def test_uniform_draws_are_uniform_in_every_counter():
     for counter in range(5):
         counters = [[n if c == counter else 7 for c in range(5)] for n in range(4000)]
-        draws = np.array([counted_uniform(*each) for each in counters])
+        draws = np.array([counted_uniform(*counter_values) for counter_values in counters])
         assert ((draws >= 0) & (draws < 1)).all()
         assert stats.kstest(draws, "uniform").pvalue > 1e-3
         assert abs(np.corrcoef(draws[1:], draws[:-1])[0, 1]) < 4 / math.sqrt(len(draws))
@@ -144,9 +144,9 @@ def test_a_move_is_eq_18_with_counted_draws():
             [[[counted_uniform(11, 4, g + 1, i, 2 * d + k) for k in (0, 1)] for d in range(3)] for i in range(5)]
         )
         pull = c1 * r[..., 0] * (state["best"] - x) + c2 * r[..., 1] * (state["leader"] - x)
-        wanted = np.clip(w * v + pull, -0.8, 0.8)
-        assert state["v"] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
-        assert run.ask() == pytest.approx(np.clip(x + wanted, -1, 3), rel=1e-12, abs=1e-12)
+        velocity = np.clip(w * v + pull, -0.8, 0.8)
+        assert state["v"] == pytest.approx(velocity, rel=1e-12, abs=1e-12)
+        assert run.ask() == pytest.approx(np.clip(x + velocity, -1, 3), rel=1e-12, abs=1e-12)
 
 
 def test_the_classic_swarm_has_constant_coefficients():
@@ -204,13 +204,13 @@ def test_the_first_draw_of_a_whole_ordered_pair_is_whole_and_spread_as_far_as_th
 
 def test_a_position_is_clamped_then_rounded_to_the_nearest_then_nc_lowered_to_np():
     settings, space = SwarmSettings().packed(TUNING), TUNING.packed()
-    for given_, repaired in (
+    for position, repaired in (
         ([20.49, 3.5, 1.0, 0.05], [20, 4, 1.0, 0.05]),
         ([60.0, -2.0, 11.0, 0.0], [55, 1, 10.0, 0.001]),
         ([4.6, 9.0, 1.0, 0.05], [5, 5, 1.0, 0.05]),
         ([-3.0, 30.0, 1.0, 0.05], [1, 1, 1.0, 0.05]),
     ):
-        x = np.array(given_)
+        x = np.array(position)
         swarm.repair(settings, space, x)
         assert x.tolist() == repaired
 
@@ -248,12 +248,12 @@ def test_of_equal_costs_the_first_particle_leads_and_only_better_ones_replace_it
 
 @pytest.mark.parametrize("settings", [SwarmSettings(), SwarmSettings.classic(generations=60)], ids=["paper", "classic"])
 def test_the_swarm_converges_on_the_sphere(settings):
-    found = [minimise(sphere, box(4), settings, seed=seed) for seed in range(20)]
-    starts = np.array([run.trace[0] for run in found])
-    ends = np.array([run.cost for run in found])
+    results = [minimise(sphere, box(4), settings, seed=seed) for seed in range(20)]
+    starts = np.array([run.trace[0] for run in results])
+    ends = np.array([run.cost for run in results])
     assert (ends < starts).all()
     assert np.median(ends / starts) < 1e-3
-    assert all(run.evaluations == settings.evaluations for run in found)
+    assert all(run.evaluations == settings.evaluations for run in results)
 
 
 # -- runs that can be repeated ----------------------------------------------------------------------------------------
@@ -290,18 +290,18 @@ def test_a_swarm_inside_compiled_code_is_the_same_to_the_last_bit():
     def added_in_order(x):
         return (x[:, 0] ** 2 + x[:, 1] ** 2) + x[:, 2] ** 2
 
-    found = minimise(added_in_order, space, settings, seed=5, stream=1)
-    assert np.array_equal(arrays.leader, found.x)
-    assert arrays.progress[swarm.LEADER_COST] == found.cost
+    results = minimise(added_in_order, space, settings, seed=5, stream=1)
+    assert np.array_equal(arrays.leader, results.x)
+    assert arrays.progress[swarm.LEADER_COST] == results.cost
 
 
 @pytest.mark.parametrize("kind", ["improved", "classic"])
 def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
     settings = SwarmSettings(particles=6, generations=7, kind=kind)
     states = [state for _, state in generations(Swarm(TUNING, settings, seed=2**63 - 1, stream=12), hilly)]
-    for told in range(8):
+    for count in range(8):
         run = Swarm(TUNING, settings, seed=2**63 - 1, stream=12)
-        for _ in range(told):
+        for _ in range(count):
             run.tell(hilly(run.ask()))
         file = io.BytesIO()
         np.savez(file, **run.state)
@@ -309,8 +309,8 @@ def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
         with np.load(file) as saved:
             resumed = Swarm.from_state(TUNING, settings, saved)
         assert same(resumed.state, run.state)
-        rest = [state for _, state in generations(resumed, hilly)]
-        assert all(same(a, b) for a, b in zip(rest, states[told:], strict=True))
+        states_after = [state for _, state in generations(resumed, hilly)]
+        assert all(same(a, b) for a, b in zip(states_after, states[count:], strict=True))
         assert np.array_equal(resumed.best.x, states[-1]["leader"])
 
 
@@ -417,13 +417,13 @@ def test_settings_and_spaces_survive_a_file(record, tmp_path):
 
 def test_a_dimension_searched_by_decades_is_uniform_in_its_logarithm():
     space = SearchSpace(names=("a", "b"), low=(1e-3, -1.0), high=(1e3, 1.0), decades=("a",))
-    asked = Swarm(space, SwarmSettings(particles=4000), seed=3).ask()
-    assert space.contains(asked).all()
-    shares = np.histogram(np.log10(asked[:, 0]), bins=6, range=(-3, 3))[0] / 4000
+    draws = Swarm(space, SwarmSettings(particles=4000), seed=3).ask()
+    assert space.contains(draws).all()
+    shares = np.histogram(np.log10(draws[:, 0]), bins=6, range=(-3, 3))[0] / 4000
     assert np.abs(shares - 1 / 6).max() < 0.03
 
 
 def test_searching_by_decades_finds_a_minimum_that_lies_decades_away():
     space = SearchSpace(names=("a",), low=(1e-6,), high=(1e6,), decades=("a",))
-    found = minimise(lambda x: (np.log10(x[:, 0]) - 4.0) ** 2, space, SwarmSettings(generations=60), seed=1)
-    assert found.x[0] == pytest.approx(1e4, rel=0.05)
+    results = minimise(lambda x: (np.log10(x[:, 0]) - 4.0) ** 2, space, SwarmSettings(generations=60), seed=1)
+    assert results.x[0] == pytest.approx(1e4, rel=0.05)

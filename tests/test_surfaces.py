@@ -50,9 +50,9 @@ def test_a_fit_lowers_the_weighted_error_and_more_effort_lowers_it_more(kind):
     x, target, weight = examples()
     start = every_surface(x)[kind]
     fits = start.fit(x, target, weight), start.fit(x, target, weight, effort=0.2), start
-    most, less, before = (weighted_error(surface, x, target, weight) for surface in fits)
-    assert most <= less < before
-    assert kind == "level" or most < less
+    most, lazy, before = (weighted_error(surface, x, target, weight) for surface in fits)
+    assert most <= lazy < before
+    assert kind == "level" or most < lazy
 
 
 @pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
@@ -62,8 +62,8 @@ def test_only_the_ratio_of_the_weights_matters_and_a_row_of_none_does_not(kind):
     scaled = start.fit(x, target, 1e-4 * weight)
     np.testing.assert_allclose(scaled.predict(x), start.fit(x, target, weight).predict(x), rtol=1e-9)
     ignored = start.fit(x, np.where(none, 1e3, target), np.where(none, 0.0, weight))
-    left_out = start.fit(x[~none], target[~none], weight[~none])
-    np.testing.assert_allclose(ignored.predict(x), left_out.predict(x), rtol=1e-9)
+    shorter = start.fit(x[~none], target[~none], weight[~none])
+    np.testing.assert_allclose(ignored.predict(x), shorter.predict(x), rtol=1e-9)
 
 
 def test_a_level_fits_the_weighted_mean():
@@ -74,24 +74,24 @@ def test_a_level_fits_the_weighted_mean():
 
 def test_a_networks_gradient_is_that_of_finite_differences(rng):
     network = random_network(rng, 3, relu=False)
-    network = replace(network, weights=tuple(0.5 * each for each in network.weights))
+    network = replace(network, weights=tuple(0.5 * array for array in network.weights))
     z, y, share = rng.uniform(size=(30, 3)), rng.normal(size=30), rng.dirichlet(np.ones(30))
     network = replace(network, low=np.zeros(3), high=np.ones(3), out_low=0.0, out_high=1.0)
-    parameters = [each.copy() for pair in zip(network.weights, network.biases, strict=True) for each in pair]
+    parameters = [array.copy() for pair in zip(network.weights, network.biases, strict=True) for array in pair]
 
     def error():
-        made = replace(network, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2]))
-        return 0.5 * (share * (made.predict(z) - y) ** 2).sum()
+        changed = replace(network, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2]))
+        return 0.5 * (share * (changed.predict(z) - y) ** 2).sum()
 
     gradients = module._gradients(parameters, z, y, share)
     for parameter, gradient in zip(parameters, gradients, strict=True):
         assert gradient.shape == parameter.shape
         for place in np.ndindex(parameter.shape):
-            kept, errors = parameter[place], []
+            value, errors = parameter[place], []
             for step in (1e-5, -1e-5):
-                parameter[place] = kept + step
+                parameter[place] = value + step
                 errors.append(error())
-            parameter[place] = kept
+            parameter[place] = value
             assert gradient[place] == pytest.approx((errors[0] - errors[1]) / 2e-5, rel=1e-5, abs=1e-9)
 
 

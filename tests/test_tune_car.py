@@ -59,17 +59,17 @@ def _believed_too_fast(lag, dead_time):
 
 @pytest.mark.compiled
 def test_speeds_that_nothing_holds_are_named_and_left_out():
-    found = tune(*_believed_too_fast(0.3, 0.1), effort=SMALL, speed=(3.0, 40.0))
-    assert found.domain.speed[0] == 3.0
-    assert found.domain.speed[1] < 20.0
-    assert not found.feasibility.passed
+    result = tune(*_believed_too_fast(0.3, 0.1), effort=SMALL, speed=(3.0, 40.0))
+    assert result.domain.speed[0] == 3.0
+    assert result.domain.speed[1] < 20.0
+    assert not result.feasibility.passed
 
 
 @pytest.mark.compiled
 def test_where_the_default_fails_a_constant_that_holds_the_loop_is_tried():
-    found = tune(*_believed_too_fast(0.25, 0.05), effort=SMALL, speed=(3.0, 25.0))
-    assert np.isinf(found.costs["default"]).sum() > found.failed
-    assert found.failed == 0
+    result = tune(*_believed_too_fast(0.25, 0.05), effort=SMALL, speed=(3.0, 25.0))
+    assert np.isinf(result.costs["default"]).sum() > result.failed
+    assert result.failed == 0
 
 
 def test_a_domain_that_nothing_holds_is_refused():
