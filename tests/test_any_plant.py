@@ -238,7 +238,7 @@ def test_runs_of_a_plant_of_ones_own_are_shared_among_threads_and_cost_the_same_
     plant = at.UserPlant(slides, {"none": 0.0}, mass=1500.0, steps=4)
     mpc = at.MPC(CAR, profile="road")
     runs = operating_point_runs(plant, mpc, [[10.0, 1.0, 0.9, w] for w in (0.0, 2.0, 4.0, 6.0, 8.0)], "road")
-    batch, which = runs._own, np.arange(5)
+    batch, which = runs._mpc_batch, np.arange(5)
     assert [len(chunk) for chunk in batch.chunks(which, 2)] == [3, 2]
     assert [len(chunk) for chunk in batch.chunks(which)] == [5]
     seeds, tunings = np.zeros(5, np.int64), np.tile(mpc.tuning.as_array(), (5, 1))

@@ -293,7 +293,7 @@ while True:
     if not child:
         run_campaign(small_campaign(chunk=1), out, workers=1)
         os._exit(0)
-    if killed < 20:
+    if killed < 8:
         time.sleep(rng.uniform(0.05, 0.3))
         os.kill(child, signal.SIGKILL)
     status = os.waitpid(child, 0)[1]
