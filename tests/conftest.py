@@ -87,13 +87,16 @@ def run_python() -> Callable[..., str]:
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Run one command of this program: (exit code, standard output, standard error)."""
+def run_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Run a command of adaptrack in 80 columns: exit code, standard output, standard error."""
 
     def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setenv("COLUMNS", "80")
         monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
         code = cli.main()
-        return code, *capsys.readouterr()
+        return (code, *capsys.readouterr())
 
     return run
 

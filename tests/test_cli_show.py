@@ -179,15 +179,15 @@ def test_a_log_record_does_not_tear_the_bar_of_a_terminal():
         env=os.environ | {"TERM": "xterm", "COLUMNS": "80"},
     )  # fmt: skip
     os.close(theirs)
-    seen = b""
+    output = b""
     try:
         while chunk := os.read(ours, 4096):
-            seen += chunk
+            output += chunk
     except OSError:  # the terminal is closed when its last user ends
         pass
     out, _ = process.communicate(timeout=60)
     os.close(ours)
-    text = seen.decode()
+    text = output.decode()
     assert (process.returncode, out) == (0, "done\n")
     assert "work [/red]" in text
     assert "left" in text

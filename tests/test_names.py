@@ -26,7 +26,7 @@ NASTY = {
 
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
-def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_path, name):
+def test_any_name_is_driven_saved_loaded_and_printed(run_command, monkeypatch, tmp_path, name):
     monkeypatch.setattr("adaptrack.results.drive.write_page", lambda out, *_, **__: out)  # drawn below
     inside = tmp_path / "in" / "deep"
     inside.mkdir(parents=True)
@@ -35,7 +35,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_p
     before = sorted(tmp_path.rglob("*"))
 
     arguments = ["drive", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
-    code, out, err = command(*arguments, "--out", inside / "out", "--json")
+    code, out, err = run_command(*arguments, "--out", inside / "out", "--json")
     assert code == 0, err
     (row,) = json.loads(out)["rows"]
     assert (row["scenario"], row["scheduler"], row["controller"]) == (name, "scheduler", "scheduler")
@@ -43,7 +43,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_p
     (file,) = (inside / "out").glob("*.parquet")
     assert Trajectory.load(file).name_of("scenario") == name
 
-    code, out, err = command(*arguments)
+    code, out, err = run_command(*arguments)
     assert code == 0, err
     assert not {"\x1b", "\u202e", "\x07"} & set(out)
     assert name[:6] in out or not name.isprintable() or name == " "
@@ -68,18 +68,18 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
     assert len(list(tmp_path.glob("*-tracking.png"))) == 3
 
 
-def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):
-    code, _, err = command("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
+def test_scenarios_of_one_name_get_a_file_each(run_command, tmp_path):
+    code, _, err = run_command("drive", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
     assert code == 0, err
     assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-informed.parquet", "sine-informed-2.parquet"}
 
 
 @pytest.mark.parametrize("name", [r"a\u0000b", r"\u0000"])
-def test_a_name_that_is_no_text_is_refused_with_file_and_key(command, tmp_path, name):
+def test_a_name_that_is_no_text_is_refused_with_file_and_key(run_command, tmp_path, name):
     load_scenario("sine", duration=0.5).to_toml(tmp_path / "scenario.toml")
     text = (tmp_path / "scenario.toml").read_text()
     (tmp_path / "scenario.toml").write_text(text.replace('name = "sine"', f'name = "{name}"'))
-    code, _, err = command("drive", tmp_path / "scenario.toml")
+    code, _, err = run_command("drive", tmp_path / "scenario.toml")
     assert code == 2
     assert "scenario.toml: name = " in err
     assert os.listdir(tmp_path) == ["scenario.toml"]

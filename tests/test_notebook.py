@@ -117,7 +117,7 @@ def test_to_pandas_gives_a_row_an_instant_with_units(lap):
 def contenders():
     """Two contenders, of which one costs half."""
     costs = {"best constant": np.full(9, 2e-3), "mine <b>": np.full(9, 1e-3)}
-    return Comparison.of_runs(
+    return Comparison.from_runs(
         {name: {"cost": each, "failed": np.zeros(9)} for name, each in costs.items()}, "best constant"
     )
 

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from adaptrack.comparison.table import Comparison, Role
+from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Guarded, Learned, StabilityMap, Table
 from adaptrack.results import evaluation, style, write_result
@@ -32,9 +32,10 @@ def compared(factors, runs=40, reference="optimum", failed=None):
         driven[name] = {"cost": np.where(shares > 0.0, 6.25, cost), "failed": shares}
     where = rng.uniform((3.0, -7.0, 0.4, -20.0), (27.0, 7.0, 1.0, 20.0), (runs, 4))
     roles = {
-        name: Role(adapts=name not in ("best constant", "optimum"), hindsight=name == "optimum") for name in factors
+        name: ContenderRole(adapts=name not in ("best constant", "optimum"), hindsight=name == "optimum")
+        for name in factors
     }
-    return Comparison.of_runs(driven, reference, overall={"nn": {"fallback": 0.125}}, where=where, roles=roles)
+    return Comparison.from_runs(driven, reference, overall={"nn": {"fallback": 0.125}}, where=where, roles=roles)
 
 
 def schedule(tilt=(20.0, 5.0)):

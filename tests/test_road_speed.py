@@ -274,14 +274,14 @@ def test_steering_rate_width_edges_and_jumps_are_named():
 
 
 # -- commands ---------------------------------------------------------------------------------------------------------
-def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command, tmp_path):
+def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(run_command, tmp_path):
     (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
-    code, out, _ = command("road", "check", tmp_path / "road.csv")
+    code, out, _ = run_command("road", "check", tmp_path / "road.csv")
     assert code == 0
     assert "can be driven" in out
     assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
     assert "largest deviation" in out
-    code, out, _ = command(
+    code, out, _ = run_command(
         "road", "check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json"
     )
     answer = json.loads(out)
@@ -289,19 +289,19 @@ def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(com
     assert (answer["drivable"], answer["fastest"]) == (False, 25.0)
     assert {"grip"} == {row["kind"] for row in answer["rows"]}
     assert answer["limits"]["stretches"] == []  # nothing bounds a speed that is given
-    code, out, _ = command("road", "check", "mountain", "--road-seed", "1", "--length", "800", "--json")
+    code, out, _ = run_command("road", "check", "mountain", "--road-seed", "1", "--length", "800", "--json")
     answer = json.loads(out)
     assert answer["limits"]["stretches"][-1]["end"] == answer["length"]
     assert sum(answer["limits"]["shares"].values()) == pytest.approx(1.0)
     assert "speed limit" in answer["limits"]["shares"]
 
 
-def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(command, tmp_path):
+def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(run_command, tmp_path):
     rows = [f"{30 * math.cos(a):.3f},{8 + math.sin(a):.3f},{30 * math.sin(a):.3f}" for a in np.arange(0.0, 6.28, 0.1)]
     (tmp_path / "lap.csv").write_text("# x_m,vx_mps,y_m\n" + "\n".join(rows))
     fastest = {}
     for bounds in ((), ("--lateral-acceleration", "2")):
-        code, out, _ = command("road", "check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
+        code, out, _ = run_command("road", "check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
         assert code == 0
         fastest[bounds] = json.loads(out)["fastest"]
     assert fastest[()] == pytest.approx(9.0, abs=0.01)
@@ -309,9 +309,9 @@ def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(comm
 
 
 @pytest.mark.drawn
-def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
+def test_plot_writes_a_picture(run_command, tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    code, out, _ = command("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
+    code, out, _ = run_command("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
     assert code == 0
     assert str(tmp_path / "a.png") in out
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -326,7 +326,7 @@ def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
         ("plot country --vehicle papr", "paper"),
     ],
 )
-def test_what_cannot_be_done_is_one_sentence(command, arguments, words):
-    code, _, err = command("road", *arguments.split())
+def test_what_cannot_be_done_is_one_sentence(run_command, arguments, words):
+    code, _, err = run_command("road", *arguments.split())
     assert code == 2
     assert words in err

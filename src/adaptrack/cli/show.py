@@ -18,7 +18,7 @@ from adaptrack.results.console import print_result, print_table, say, say_failed
 
 __all__ = ["Column", "say", "say_failed"]
 
-Rows = Sequence[Mapping[str, Any]]
+TableRows = Sequence[Mapping[str, Any]]
 
 
 # -- text and tables --------------------------------------------------------------------------------------------------
@@ -44,12 +44,12 @@ def printable(text: str) -> str:
     return escaped(text, keep="\n")
 
 
-def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
+def table(title: str, columns: Sequence[Column], rows: TableRows) -> None:
     """A table, see `results.console.print_table`."""
     print_table(ResultTable("", title, columns, rows))
 
 
-def listing(title: str, rows: Rows, as_json: bool) -> None:
+def listing(title: str, rows: TableRows, as_json: bool) -> None:
     """Rows that need no choice of columns."""
     if as_json:
         say_json({"rows": rows})
@@ -95,8 +95,8 @@ def _bar(work: TrackedWork) -> Iterator[Show]:
     with Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task(printable(work.label), total=None)  # no total: the bar only moves to and fro
 
-        def update(label: str, done: int, steps: int) -> None:
-            work.update(label, done, steps)
+        def update(label: str, steps_done: int, steps: int) -> None:
+            work.update(label, steps_done, steps)
             bar.update(task, description=printable(label), completed=work.share, total=1.0 if work.share else None)
 
         yield update

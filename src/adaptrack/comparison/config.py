@@ -29,7 +29,7 @@ PERIODS_OF_A_LOOP = 1500
 """Control periods of a drive, for estimates of time."""
 
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
-Numbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
+SeedNumbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
 
 
 def is_tuning_file(contender: str) -> bool:
@@ -67,8 +67,8 @@ class ComparisonConfig(Record):
     length: float = Field(default=2000.0, ge=100, le=100_000, description="m, of generated roads")
     training_length: float = Field(default=1000.0, ge=100, le=100_000, description="m, of those of the search")
     duration: float = Field(default=60.0, ge=1, le=3600, description="s, of random drives")
-    seeds: Numbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
-    training_seeds: Numbers = Field(default=(1000,), description="noise seeds of the search")
+    seeds: SeedNumbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
+    training_seeds: SeedNumbers = Field(default=(1000,), description="noise seeds of the search")
     budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
     entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
 
@@ -161,8 +161,8 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
 
 # -- cars and roads ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class Setting:
-    """What a controller is made for."""
+class ControllerSetting:
+    """Car, profile and period that a controller is made for."""
 
     car: Vehicle
     plant: Plant | SteppedPlant
@@ -180,7 +180,7 @@ class Setting:
         return get_controller(name, self.car, profile=self.profile, offered=offered)
 
 
-def load_setting(car: str, profile: str) -> Setting:
+def load_setting(car: str, profile: str) -> ControllerSetting:
     """A car by `car` or `car/plant`, in a profile.
 
     Raises
@@ -193,7 +193,7 @@ def load_setting(car: str, profile: str) -> Setting:
         raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
     vehicle = load_vehicle(parts["car"])
     plant = get_plant(parts["plant"] or "dual-track", vehicle)
-    return Setting(vehicle, plant, load_profile(profile))
+    return ControllerSetting(vehicle, plant, load_profile(profile))
 
 
 def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:

@@ -42,7 +42,7 @@ from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import Learnable, Surfaces, Training, improve
 from adaptrack.paper.landscape import LEARNED_OUTPUTS
 from adaptrack.paper.learning_task import LEARNED_INPUTS, LEARNING_SEED, START, Effort, LearningTask
-from adaptrack.paper.operating_points import NAMES
+from adaptrack.paper.operating_points import POINT_NAMES
 from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise
@@ -63,7 +63,7 @@ CONSTANT_RUNS = 512
 CONSTANT_NOISE = 700_000 + LEARNING_SEED
 CONSTANT_SPACE = SearchSpace(
     names=("Np", "Nc", "R"), low=(10.0, 1.0, 10.0), high=(60.0, 18.0, 1e6),
-    whole=("Np", "Nc"), decades=("R",), ordered=("Nc", "Np"), spread=2.0,
+    integers=("Np", "Nc"), decades=("R",), ordered=("Nc", "Np"), spread=2.0,
 )  # fmt: skip
 
 # The fallback of the guard: a constant that is slow and steady
@@ -117,7 +117,7 @@ def adapt(
         When the folder cannot be written, or holds something damaged.
     """
     folder, task = Path(out), LearningTask.of(campaign, effort)
-    makers = Makers(task, folder / "campaign", workers, progress or (lambda work, done, total: None))
+    makers = Makers(task, folder / "campaign", workers, progress or (lambda work, steps, total: None))
     schedules: dict[str, Schedule] = {}
     for contender in CONTENDER_NAMES:
         file = folder / "schedulers" / f"{contender.replace(' ', '-')}.json"
@@ -178,7 +178,7 @@ def _save_schedule(schedule: Schedule, file: Path, task: LearningTask, identity:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{file.parent}: cannot be made: {error.strerror or error}.") from error
-    twin = ", learned on its twin" if task.driven.costly else ""
+    twin = ", learned on its twin" if task.evaluated_plant.costly else ""
     purpose = made_for(task.mpc, task.profile)
     purpose |= {"plant": f"{task.plan.config.plant}{twin}", "tyre": task.plant.tyre_name}
     record = {"identity": identity, "campaign": task.plan.identity, "effort": task.effort._asdict()}
@@ -238,7 +238,7 @@ class Makers:
         start = Learnable(self._first_surfaces(model), LEARNED_INPUTS, self.task.domain, model)
         improvement = improve(
             start, self.training, self.held_out, rounds=self.task.effort.rounds, seed=LEARNING_SEED, safe=safe,
-            progress=lambda done, total: self.show(model, done, total),
+            progress=lambda steps, total: self.show(model, steps, total),
         )  # fmt: skip
         guarded = Guarded(improvement.schedule, safe, stability=self.stability, **GUARD_OPTIONS)
         return replace(guarded, provenance={"history": improvement.history})
@@ -272,10 +272,10 @@ def as_tuning(row: ArrayLike) -> Tuning:
 def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Array:
     """(4,) the tuning with the lowest mean log cost over `CONSTANT_RUNS` of the runs, by a swarm of so many tunings."""
     rng = np.random.default_rng((LEARNING_SEED, 0xC057))
-    which = np.sort(rng.choice(len(runs), min(CONSTANT_RUNS, len(runs)), replace=False))
+    indices = np.sort(rng.choice(len(runs), min(CONSTANT_RUNS, len(runs)), replace=False))
 
     def cost(tuning: ArrayLike) -> float:
-        return float(np.log(runs.costs(tuning, [CONSTANT_NOISE], which)).mean())
+        return float(np.log(runs.costs(tuning, [CONSTANT_NOISE], indices)).mean())
 
     def costs(positions: Array) -> Array:
         return np.array([cost([Np, Nc, 1.0, R]) for Np, Nc, R in np.atleast_2d(positions)])
@@ -296,8 +296,8 @@ def safe_constant(runs: RunSet, stability: StabilityMap) -> Tuning:
 
     def judge(rows: Array, count: int) -> tuple[Indices, Array]:
         """Failures and mean log cost of each tuning, on the first `count` runs."""
-        which = np.arange(min(count, len(runs)))
-        costs = np.stack([runs.drive(row, [FALLBACK_NOISE], which)[:, 0] for row in rows])
+        indices = np.arange(min(count, len(runs)))
+        costs = np.stack([runs.drive(row, [FALLBACK_NOISE], indices)[:, 0] for row in rows])
         return np.isinf(costs).sum(axis=1), np.log(np.minimum(costs, runs.failed_cost)).mean(axis=1)
 
     candidates = safe_candidates(stability)
@@ -317,9 +317,9 @@ def safe_candidates(stability: StabilityMap) -> Array:
     """
     loops = Feasibility.from_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
     loops = loops.among(loops.tunings[:, 3] >= 10.0**FALLBACK_RATIO)
-    far = loops.enough.all(axis=(0, 1))
-    if far.any():
-        return loops.tunings[far]
+    is_safe = loops.enough.all(axis=(0, 1))
+    if is_safe.any():
+        return loops.tunings[is_safe]
     message = (
         f"no constant tuning keeps the loop away from instability (modulus margin {loops.least:g}) over the whole "
         f"domain of {loops.requested}"
@@ -353,7 +353,7 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike]) -> Schedu
     operating points; distances are in ranges of the data.
     """
     axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
-    points = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
+    points = dataset.operating_points[:, [POINT_NAMES.index(name) for name in axes]]
     ranges = np.ptp(points, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
     _, neighbours = cKDTree(points / ranges).query(

@@ -35,7 +35,7 @@ EVALUATION_SEED = 7
 """Default of the evaluations: it selects the operating points and drives."""
 FIRST_POINTS, FIRST_DRIVE, DRIVE_BLOCK = 10_000, 3_000_000, 10_000
 """Sobol seed and number of the first drive of the evaluation with seed 0, and drives for each seed."""
-DRIVE_DURATION = 60.0
+EVALUATED_DURATION = 60.0
 """s, of a drive"""
 EVALUATION_NOISE = tuple(range(900_001, 900_009))
 """Noise seeds of every evaluation; drives take the first."""
@@ -60,7 +60,7 @@ def evaluate_on_operating_points(
     """
     points = evaluation_points(task, count, seed)
     contenders = _point_contenders(schedules, points)
-    reference, plant = BEST_CONSTANT, task.driven
+    reference, plant = BEST_CONSTANT, task.evaluated_plant
     if not isinstance(plant, SteppedPlant) and not plant.costly:
         constants = np.array([schedules[name](ANYWHERE) for name in (BEST_CONSTANT, "fallback")])
         tunings = find_optimum(task, plant, points, seed, constants, progress)
@@ -70,7 +70,9 @@ def evaluate_on_operating_points(
     for name in known_as:
         knowledge = perception(name, task.estimated, task.profile)
         runs = operating_point_runs(plant, task.mpc, points, task.profile, known_as=knowledge, failure=FAILURE)
-        comparisons[name] = compare(runs, _driven(contenders, name), EVALUATION_NOISE, reference, points, progress)
+        comparisons[name] = compare(
+            runs, _select_contenders(contenders, name), EVALUATION_NOISE, reference, points, progress
+        )
     return comparisons
 
 
@@ -85,12 +87,12 @@ def evaluate_on_drives(
     comparisons = {}
     for name in known_as:
         runs = random_drive_runs(
-            task.driven, task.mpc, numbers, DRIVE_DURATION, task.profile, roads=roads, segment_seconds=SEGMENT,
-            known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
+            task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, roads=roads,
+            segment_seconds=SEGMENT, known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
         )  # fmt: skip
         where = np.array(numbers, dtype=float)[:, None]
         comparisons[name] = compare(
-            runs, _driven(contenders, name), EVALUATION_NOISE[:1], BEST_CONSTANT, where, progress
+            runs, _select_contenders(contenders, name), EVALUATION_NOISE[:1], BEST_CONSTANT, where, progress
         )
     return comparisons
 
@@ -99,7 +101,7 @@ def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Com
     """On the paper's two tests, in the campaign's profile; the reference is the best constant."""
     comparisons = {}
     for name in PAPER_MSE:
-        runs = paper_test_runs(task.driven, task.mpc, name, task.profile, failure=FAILURE)
+        runs = paper_test_runs(task.evaluated_plant, task.mpc, name, task.profile, failure=FAILURE)
         comparisons[name] = compare(
             runs, _moving_contenders(schedules), EVALUATION_NOISE, BEST_CONSTANT, np.zeros((1, 1))
         )
@@ -142,7 +144,7 @@ def _moving_contenders(schedules: Schedules) -> list[Contender]:
     ]  # fmt: skip
 
 
-def _driven(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
+def _select_contenders(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
     """All contenders where friction and wind are known exactly, otherwise `PERCEIVING`."""
     return [contender for contender in contenders if known_as == "exact" or contender.name in PERCEIVING]
 

@@ -114,8 +114,8 @@ def _draw_runs(rng: np.random.Generator, runs: int, count: int, failed: set[int]
     """Runs of a round: some that failed before, and others at random."""
     count = min(count, runs)
     revisited = rng.permutation(sorted(failed))[: count // REVISITED].astype(np.int64)
-    others = np.setdiff1d(np.arange(runs), revisited)
-    return np.sort(np.concatenate([revisited, rng.choice(others, count - len(revisited), replace=False)]))
+    untried = np.setdiff1d(np.arange(runs), revisited)
+    return np.sort(np.concatenate([revisited, rng.choice(untried, count - len(revisited), replace=False)]))
 
 
 @dataclass(eq=False)
@@ -143,8 +143,8 @@ class _Course:
 
     def averaged(self) -> Surfaces:
         """The surfaces with the mean of the parameters of the latest rounds."""
-        others = self.latest[:-1]
-        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in others]) for slot in LEARNED_OUTPUTS}
+        earlier = self.latest[:-1]
+        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in earlier]) for slot in LEARNED_OUTPUTS}
 
     def note_score(self, schedule: Schedule, surfaces: Surfaces, entry: dict[str, float]) -> None:
         """Note a score, and its schedule if it is the best."""
@@ -216,8 +216,8 @@ class _Learner:
 
         rescue = self._rescue(surfaces, functions)
         parts = [
-            explore_landscape(runs, shifted, noise, which, rescue)
-            for (runs, _), which in zip(training, drawn, strict=True)
+            explore_landscape(runs, shifted, noise, indices, rescue)
+            for (runs, _), indices in zip(training, drawn, strict=True)
         ]
         return WeightedMoves(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 

@@ -102,7 +102,7 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
 
     command: the command line that makes it again; next_step: what to do next, with the command.
     """
-    comparisons, task = compared.by_profile, compared.task
+    comparisons, task = compared.profile_comparisons, compared.task
     rows = {profile: profile_rows(compared, profile) for profile in comparisons}
     last = list(comparisons)[-1]
     cars = counted(len(set(compared.columns["car"])), "car")
@@ -143,7 +143,7 @@ def colour_of(contender: str) -> str:
 def profile_rows(compared: Compared, profile: str) -> list[dict[str, Any]]:
     """The rows of a profile, see `views.standing_rows`, with the mean entry speed over the cars (km/h)."""
     speeds, rows = compared.entry_speeds(profile), []
-    for row in standing_rows(compared.by_profile[profile]):
+    for row in standing_rows(compared.profile_comparisons[profile]):
         by_car = speeds.get(row["label"], {})
         rows.append({**row, "entry_speed": 3.6 * sum(by_car.values()) / len(by_car) if by_car else None})
     return rows
@@ -206,7 +206,7 @@ def _failures_by_car(compared: Compared) -> ResultTable:
     """Failed runs of each contender with each car."""
     cars = list(dict.fromkeys(compared.columns["car"].tolist()))
     rows, runs_of_car = [], dict[str, list[int]]()
-    for profile, table in compared.by_profile.items():
+    for profile, table in compared.profile_comparisons.items():
         for contender in table.contenders:
             row: dict[str, Any] = {"label": contender, "profile": f"Profile {profile}"}
             for car in cars:
@@ -297,10 +297,10 @@ def _label_heights(values: Sequence[float]) -> list[float]:
 
 
 def _entry_speeds(compared: Compared) -> list[Picture]:
-    speeds = {profile: compared.entry_speeds(profile) for profile in compared.by_profile}
+    speeds = {profile: compared.entry_speeds(profile) for profile in compared.profile_comparisons}
     panels = [
         _entry_panel(table, profile, speeds[profile])
-        for profile, table in compared.by_profile.items()
+        for profile, table in compared.profile_comparisons.items()
         if speeds[profile]
     ]
     caption = (

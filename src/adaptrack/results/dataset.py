@@ -29,7 +29,7 @@ from adaptrack.base.result import (
     Scale,
     Stroke,
 )
-from adaptrack.paper.campaign_config import STANDARD
+from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe
 from adaptrack.results.maps import edges_around
@@ -180,7 +180,7 @@ def _without_logarithm(row: Row) -> Row:
 # -- panels -----------------------------------------------------------------------------------------------------------
 def targets(rows: DataSet) -> list[TuningTarget]:
     """Horizons and R/Q of the best tunings."""
-    Np, Nc, Q, R = STANDARD
+    Np, Nc, Q, R = STANDARD_ROW
     return [
         TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, whole=True),
         TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, whole=True),

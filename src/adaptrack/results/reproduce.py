@@ -9,7 +9,7 @@ from typing import Any
 
 from adaptrack.base.result import Column, Picture, Result, ResultTable, strokes
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.paper.reproduce import TESTS, Reproduction
+from adaptrack.paper.reproduce import PAPER_TESTS, Reproduction
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
 
@@ -103,9 +103,9 @@ def reproduction_result(reproduction: Reproduction, command: str = "") -> Result
 # -- the paper's figures ----------------------------------------------------------------------------------------------
 def _paper_figures(labelled: Sequence[tuple[str, Trajectory]]) -> Iterable[Picture]:
     """Figures 6 to 10 in their order."""
-    runs = {test: {NAMES[name]: run for name, run in labelled if run.name_of("scenario") == test} for test in TESTS}
+    runs = {t: {NAMES[name]: run for name, run in labelled if run.name_of("scenario") == t} for t in PAPER_TESTS}
     colours = strokes(NAMES[name] for name, _ in labelled)
-    speeds = {f"({letter}) {title_of(test)}": runs[test] for letter, test in zip("ab", TESTS, strict=True)}
+    speeds = {f"({letter}) {title_of(test)}": runs[test] for letter, test in zip("ab", PAPER_TESTS, strict=True)}
     yield replace(
         speed_picture(speeds, colours, "Figure 6. Speed: profile (dashed) and driven."),
         name="figure-6", file="figure-6.png",
@@ -162,7 +162,7 @@ def _published_table(published: Sequence[Row]) -> ResultTable:
 
 def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable:
     columns = [Column("name", "Controller"), Column("moves", "Moves")]
-    for test in TESTS:
+    for test in PAPER_TESTS:
         columns += [Column(f"blind {test}", title_of(test), "MSE, m²", 3),
                     Column(f"preview {test}", "with preview", "MSE, m²", 3)]  # fmt: skip
     by_controller: dict[str, dict[str, Any]] = {}
@@ -216,20 +216,20 @@ def _swaps_table(reproduction: Reproduction) -> ResultTable:
     blind = {(run["controller"], run["scenario"]): run["mse"] for run in _select(reproduction.rows, "same-moves")}
 
     def ends(controller: str, name: str) -> dict[str, Any]:
-        return {"name": NAMES[name], **{test: blind[controller, test] for test in TESTS}}
+        return {"name": NAMES[name], **{test: blind[controller, test] for test in PAPER_TESTS}}
 
     changed: dict[str, dict[str, Any]] = {}
     for swap in reproduction.swaps:
         name = f"with {swap['changed']} = {number(swap['constant'])} instead of {number(swap['table'])}"
         changed.setdefault(name, {"name": name})[swap["scenario"]] = swap["mse"]
     rows = [ends("standard-as-written", "table-constant"), *changed.values(), ends("best-constant", "best-constant")]
-    columns = [Column("name", "Tuning"), *(Column(test, title_of(test), "MSE, m²", 3) for test in TESTS)]
+    columns = [Column("name", "Tuning"), *(Column(test, title_of(test), "MSE, m²", 3) for test in PAPER_TESTS)]
     return ResultTable("swaps", "From the table's constant to the best of the data, same moves", columns, rows)
 
 
 def _informed_table(runs: Sequence[Row]) -> ResultTable:
     columns = [Column("name", "Controller")]
-    for test in TESTS:
+    for test in PAPER_TESTS:
         columns += [Column(f"mse {test}", title_of(test), "MSE, m²", 3),
                     Column(f"rate {test}", "Steering", "RMS, rad/s", 3)]  # fmt: skip
     rows: dict[tuple[str, str], dict[str, Any]] = {}

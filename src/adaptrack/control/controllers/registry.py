@@ -35,10 +35,10 @@ class About:
 
 _SHIPPED: dict[str, tuple[str, About]] = {
     "informed": ("control.controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
-    "informed-learning": ("control.variants:learning", About("the same, learning while it drives", ours=True)),
+    "informed-learning": ("control.variants:learning", About("informed MPC, learning while it drives", ours=True)),
     "informed-from-sheet": (
         "control.variants:learning_from_sheet",
-        About("the same, with nothing known but mass and wheelbase, learning while it drives", ours=True),
+        About("informed MPC from mass and wheelbase, learning while it drives", ours=True),
     ),
     "as-written": ("control.controllers.published:published_mpc", About("MPC of the paper, as written")),
     "as-released": (
@@ -51,7 +51,7 @@ _SHIPPED: dict[str, tuple[str, About]] = {
         "control.variants:published",
         About("MPC of the paper, with its best constant on drives", tunable=False),
     ),
-    "published, road-nn": ("control.variants:published_nn", About("the same, scheduled by networks", tunable=False)),
+    "published-nn": ("control.variants:published_nn", About("published MPC, scheduled by networks", tunable=False)),
     "pure-pursuit": ("control.controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
     "stanley": ("control.controllers.stanley:Stanley", About("Stanley, with dead time")),
     "lqr": ("control.controllers.lqr:LQR", About("LQR with curvature feed-forward")),
