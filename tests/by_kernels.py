@@ -36,9 +36,9 @@ def ordered(vehicle, options):
     )  # fmt: skip
     order.learning = informed.NEVER if mode is None else informed.UNLESS_SAID
     row = informed.Parts.new(1)
-    usual = np.zeros(size_of(filter.Filter))
-    filter.usual_filter(usual)
-    row["filter"] = usual.view(filter.Filter.dtype)[0]
+    default_filter = np.zeros(size_of(filter.Filter))
+    filter.usual_filter(default_filter)
+    row["filter"] = default_filter.view(filter.Filter.dtype)[0]
     return order, row[0]
 
 
@@ -49,9 +49,9 @@ def prepared(vehicle, options):
     assert informed.informed_parts(order, again) == informed.FINE
     n, _, learned = informed.informed_sizes(order, again)
     numbers = size_of(learning.Numbers) if learned else 0
-    found = informed.Constants(
+    constants = informed.Constants(
         settings=Settings.new(1), tuning=np.full(4, UNTOUCHED), model=np.full(7, UNTOUCHED),
         states=np.full(n, -7), turning=np.full(7, UNTOUCHED), estimator=np.full(size_of(kalman.Numbers), UNTOUCHED),
         learner=np.full(numbers, UNTOUCHED), fresh=np.full(learned, UNTOUCHED),
     )  # fmt: skip
-    return order, parts, found
+    return order, parts, constants

@@ -38,12 +38,13 @@ PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SH
 
 
 def _setup(car, road, speed, profile, *controllers, seed=1, **truth):
-    made = [
-        {"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers
+    setups = [
+        {"tuning": None, "belief": None, **({"kind": controller} if isinstance(controller, str) else controller)}
+        for controller in controllers
     ]
     nothing = dict.fromkeys(("lag", "dead_time", "bias", "noise", "friction", "wind"))
     return {"car": car, "road": road, "speed": speed, "profile": profile, "truth": nothing | truth, "seed": seed,
-            "controllers": made}  # fmt: skip
+            "controllers": setups}  # fmt: skip
 
 
 def _tuned(kind, Np, Nc, Q, R, **belief):
@@ -82,18 +83,18 @@ SETUPS = {
 @functools.cache
 def driven(name):
     """Of each car of a drive the columns that are compared, by name."""
-    return [columns_of(each) for each in simulate_setup(SETUPS[name])]
+    return [columns_of(run) for run in simulate_setup(SETUPS[name])]
 
 
 def columns_of(trajectory):
     """The columns of a trajectory as frames name them, until it ends."""
-    found = {name: getattr(trajectory, theirs) for name, theirs in COLUMNS.items()}
-    found |= {"held": trajectory.held.astype(float), "error": trajectory.Y - trajectory.y_ref}
-    found |= {key: trajectory.road[key] for key in ("station", "offset", "heading_error") if trajectory.road}
+    columns = {name: getattr(trajectory, theirs) for name, theirs in COLUMNS.items()}
+    columns |= {"held": trajectory.held.astype(float), "error": trajectory.Y - trajectory.y_ref}
+    columns |= {key: trajectory.road[key] for key in ("station", "offset", "heading_error") if trajectory.road}
     if trajectory.road:
-        found["error"] = trajectory.road["offset"] - trajectory.y_ref
+        columns["error"] = trajectory.road["offset"] - trajectory.y_ref
     for group in (trajectory.tuning, trajectory.diagnostics):
         for key, values in group.items():
-            found[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
+            columns[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
     count = int(np.isfinite(trajectory.command).sum())
-    return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}
+    return {name: np.ascontiguousarray(values[:count], float) for name, values in columns.items()}

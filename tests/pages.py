@@ -82,11 +82,11 @@ def drive(
     page: Any, setup: dict[str, Any], periods: int, changes: list[dict[str, Any]] | None = None
 ) -> dict[str, Any]:
     """What the engine of an open page drives; `numbers` of each car are (frames, columns)."""
-    found = page.run(f"{ENGINE}({json.dumps(setup)}, {periods}, {json.dumps(changes or [])})")
-    for car in found.get("cars", ()):
+    answer = page.run(f"{ENGINE}({json.dumps(setup)}, {periods}, {json.dumps(changes or [])})")
+    for car in answer.get("cars", ()):
         numbers = np.frombuffer(base64.b64decode(car["numbers"]), "<f8")
         car["numbers"] = numbers.reshape(-1, len(car["columns"]))
-    return found
+    return answer
 
 
 @contextlib.contextmanager
@@ -109,10 +109,10 @@ def served(folder: Path) -> Iterator[tuple[str, list[str]]]:
 
 def axe() -> Path | None:
     """The checker of accessibility (axe-core, MPL-2.0), where there is one; it is not part of this project."""
-    named = os.environ.get("ADAPTRACK_AXE")
-    places = [Path(named)] if named else []
-    places += [each / "node_modules/axe-core/axe.min.js" for each in Path(__file__).resolve().parents]
-    return next((each for each in places if each.is_file()), None)
+    script = os.environ.get("ADAPTRACK_AXE")
+    places = [Path(script)] if script else []
+    places += [parent / "node_modules/axe-core/axe.min.js" for parent in Path(__file__).resolve().parents]
+    return next((place for place in places if place.is_file()), None)
 
 
 NO_AXE = "no axe-core: npm install axe-core somewhere, and ADAPTRACK_AXE=.../axe.min.js"
@@ -131,11 +131,11 @@ NAME = """((each) => each === document.body ? "body" : `${each.id || each.datase
 
 def differing(car: dict[str, Any], expected: dict[str, np.ndarray]) -> int:
     """How many steps of a drive of the page differ in any bit from one of Python's: `page_drives.driven`."""
-    found = dict(zip(car["columns"], car["numbers"].T, strict=True))
-    wrong = np.zeros(len(expected["x"]), bool)
+    columns = dict(zip(car["columns"], car["numbers"].T, strict=True))
+    is_different = np.zeros(len(expected["x"]), bool)
     for name, values in expected.items():
-        here = np.ascontiguousarray(found[name])
-        assert here.size == values.size, name
-        both = np.isnan(here) & np.isnan(values)
-        wrong |= (here.view(np.int64) != values.view(np.int64)) & ~both
-    return int(wrong.sum())
+        column = np.ascontiguousarray(columns[name])
+        assert column.size == values.size, name
+        both = np.isnan(column) & np.isnan(values)
+        is_different |= (column.view(np.int64) != values.view(np.int64)) & ~both
+    return int(is_different.sum())

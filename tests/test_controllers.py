@@ -133,9 +133,9 @@ def test_the_dead_time_of_stanley_is_that_of_a_car_which_moves_on():
     later_yaw = yaw + 0.3 * rate
     later_y = y + speed / rate * (math.cos(yaw) - math.cos(later_yaw))
     reference = parabola(0.01, speed, 0.1)
-    now = late.step([vy, yaw, rate, y], speed, reference).angle
+    angle = late.step([vy, yaw, rate, y], speed, reference).angle
     then = prompt.step([vy, later_yaw, rate, later_y], speed, reference[3:]).angle
-    assert now == pytest.approx(then, abs=2e-5)  # the chord's direction stands for the arc's
+    assert angle == pytest.approx(then, abs=2e-5)  # the chord's direction stands for the arc's
 
 
 # -- LQR ---------------------------------------------------------------------------------------------------------------
@@ -174,9 +174,9 @@ def test_at_its_nodes_the_law_applies_the_gain_of_the_riccati_equation(car):
 @pytest.mark.parametrize("factor", [0.03, 0.5, 30.0])
 def test_weights_that_change_change_the_gain_as_weights_given_at_the_start(factor):
     controller = LQR(CAR, q_e=1.0, q_heading=100.0, r=1000.0, limits=WIDE)
-    made = LQR(CAR, q_e=1.0, q_heading=100.0, r=1000.0 * factor, limits=WIDE)
-    changed = asked_gain(controller, 15.0, made.packed_tuning())
-    np.testing.assert_allclose(changed, made.gain_at(15.0), rtol=0.06)
+    expected = LQR(CAR, q_e=1.0, q_heading=100.0, r=1000.0 * factor, limits=WIDE)
+    changed = asked_gain(controller, 15.0, expected.packed_tuning())
+    np.testing.assert_allclose(changed, expected.gain_at(15.0), rtol=0.06)
 
 
 @every_car
@@ -242,21 +242,21 @@ def test_the_limits_hold_and_the_move_is_the_change_of_the_angle(law):
 def test_without_preview_only_the_present_reference_counts(law, rng):
     blind, seeing = law(CAR), law(CAR, preview=True)
     reference = np.cumsum(rng.normal(0.0, 0.1, 50))
-    given = [0.1, 0.01, 0.0, 0.3], 15.0
-    assert blind.step(*given, reference) == law(CAR).step(*given, np.full(50, reference[0]))
-    assert seeing.step(*given, reference).angle != blind.angle
+    arguments = [0.1, 0.01, 0.0, 0.3], 15.0
+    assert blind.step(*arguments, reference) == law(CAR).step(*arguments, np.full(50, reference[0]))
+    assert seeing.step(*arguments, reference).angle != blind.angle
 
 
 @every_law
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_bad_measurement_holds_the_command_and_says_so(law, bad):
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_bad_measurement_holds_the_command_and_says_so(law, value):
     controller = law(CAR, preview=True)
     before = controller.step([0.0, 0.0, 0.0, 0.3], 15.0, np.zeros(50)).angle
     assert before != 0.0
     for state, speed, reference in (
-        ([bad, 0.0, 0.0, 0.0], 15.0, np.zeros(50)),
-        ([0.0, 0.0, 0.0, bad], 15.0, np.zeros(50)),
-        ([0.0, 0.0, 0.0, 0.0], bad, np.zeros(50)),
+        ([value, 0.0, 0.0, 0.0], 15.0, np.zeros(50)),
+        ([0.0, 0.0, 0.0, value], 15.0, np.zeros(50)),
+        ([0.0, 0.0, 0.0, 0.0], value, np.zeros(50)),
         (np.ma.masked_array([0.0, 0.0, 0.0, 0.0], [False, True, False, False]), 15.0, np.zeros(50)),
         ([10**400, 0.0, 0.0, 0.0], 15.0, np.zeros(50)),  # beyond the largest float: infinity
     ):
@@ -346,10 +346,10 @@ def test_each_law_drives_a_double_lane_change_on_the_road(law, car):
 def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steer by the offset; memory counts the steps."""
     offset = reference[0] - situation[3]
-    wanted = tuning[0] * offset / parameters[5]
-    if not math.isfinite(wanted + situation[0] + situation[1] + situation[2] + situation[4]):
-        wanted = situation[5]
-    move = min(max(wanted - situation[5], parameters[1]), parameters[2])
+    command = tuning[0] * offset / parameters[5]
+    if not math.isfinite(command + situation[0] + situation[1] + situation[2] + situation[4]):
+        command = situation[5]
+    move = min(max(command - situation[5], parameters[1]), parameters[2])
     answer[0] = min(max(situation[5] + move, parameters[3]), parameters[4])
     memory[0] += 1.0
     answer[1] = memory[0]
@@ -425,8 +425,8 @@ class InPython(Controller):
         return 0.05 * (reference[0] - state[3])
 
     def step(self, state, speed, reference, variables=None) -> Command:
-        wanted = self.law(state, speed, reference) if np.isfinite([*state, speed, reference[0]]).all() else self.last
-        move = float(np.clip(wanted - self.last, *self.limits.move))
+        command = self.law(state, speed, reference) if np.isfinite([*state, speed, reference[0]]).all() else self.last
+        move = float(np.clip(command - self.last, *self.limits.move))
         angle = float(np.clip(self.last + move, *self.limits.angle))
         move, self.last = angle - self.last, angle
         return Command(angle, move, False, (), {})

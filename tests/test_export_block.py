@@ -27,8 +27,8 @@ def folder(tmp_path_factory):
 def made(tuning=None, start=None):
     """An MPC that learns, and its block."""
     mpc = at.MPC(CAR, tuning, profile="road", learning=at.Learning(start=start))
-    given = Step(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
-    return mpc, pack(given, "Step", ROLES, FROM, RESETS)
+    step = Step(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
+    return mpc, pack(step, "Step", ROLES, FROM, RESETS)
 
 
 def drive(memory, mpc, steps, rng):
@@ -58,7 +58,7 @@ def test_steps_in_memory_of_c_are_those_of_python(folder):
 
 def test_blocks_of_one_kind_of_controller_share_their_layout():
     blocks = [made()[1], made()[1], made(at.Tuning(30, 10, 2.0, 20.0))[1]]
-    assert len({each.header.layout for each in blocks}) == 1
+    assert len({block.header.layout for block in blocks}) == 1
     assert blocks[0].content == blocks[1].content
     assert blocks[0].checksum != blocks[2].checksum
 
@@ -80,23 +80,23 @@ def test_constants_of_other_sizes_are_refused_under_way(folder):
     memory = Memory(block, folder)
     memory.lay()
     mpc = at.MPC(CAR, profile="road", longest_horizon=40)
-    given = Step(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
-    assert memory.renew(pack(given, "Step", ROLES, FROM, RESETS).content) == exported.OTHER_SIZES
+    step = Step(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
+    assert memory.renew(pack(step, "Step", ROLES, FROM, RESETS).content) == exported.OTHER_SIZES
 
 
 def hostile(content, rng, count):
     """Damaged copies: cut short, longer, some bits of one byte or of two others."""
     for _ in range(count):
-        found = bytearray(content)
-        what = rng.integers(4)
-        if what == 0:
-            found = found[: rng.integers(len(found))]
-        elif what == 1:
-            found += bytes(int(rng.integers(1, 64)))
+        damaged_block = bytearray(content)
+        kind = rng.integers(4)
+        if kind == 0:
+            damaged_block = damaged_block[: rng.integers(len(damaged_block))]
+        elif kind == 1:
+            damaged_block += bytes(int(rng.integers(1, 64)))
         else:
-            for _ in range(what - 1):
-                found[rng.integers(len(found))] ^= int(rng.integers(1, 256))
-        yield bytes(found)
+            for _ in range(kind - 1):
+                damaged_block[rng.integers(len(damaged_block))] ^= int(rng.integers(1, 256))
+        yield bytes(damaged_block)
 
 
 def refuses_damage(folder, count):
@@ -104,12 +104,12 @@ def refuses_damage(folder, count):
     memory, rng = Memory(block, folder), np.random.default_rng(5)
     before = memory.raw.copy()
     damaged = list(hostile(block.content, rng, count))
-    assert exported.OK not in {memory.lay(each) for each in damaged}
+    assert exported.OK not in {memory.lay(block) for block in damaged}
     assert (memory.raw == before).all()
     memory.lay()
     state, before = memory.save(), memory.raw.copy()
-    assert exported.OK not in {memory.renew(each) for each in damaged}
-    assert exported.OK not in {memory.restore(each) for each in hostile(state, rng, count)}
+    assert exported.OK not in {memory.renew(block) for block in damaged}
+    assert exported.OK not in {memory.restore(block) for block in hostile(state, rng, count)}
     assert (memory.raw == before).all()
 
 

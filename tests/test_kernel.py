@@ -94,7 +94,7 @@ def test_an_exported_kernel_answers_as_its_python_does():
 
 @needs_compiled
 @pytest.mark.parametrize(
-    ("wrong", "why"),
+    ("arguments", "why"),
     [
         (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
         (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
@@ -102,9 +102,9 @@ def test_an_exported_kernel_answers_as_its_python_does():
         ([0.0, 1.0], "need an array"),
     ],
 )
-def test_an_array_that_is_not_what_a_kernel_takes_is_refused(wrong, why):
+def test_an_array_that_is_not_what_a_kernel_takes_is_refused(arguments, why):
     with pytest.raises(TypeError, match=why):
-        vector.given(wrong)
+        vector.given(arguments)
 
 
 @needs_compiled
@@ -115,10 +115,10 @@ def test_a_member_that_raises_leaves_nothing_that_counts():
         if a[0] > 0.0:
             raise ValueError("no")
 
-    made, out = member(own, void(vector, vector)), np.zeros(2)
-    made(np.array([-1.0]), out)
+    function, out = member(own, void(vector, vector)), np.zeros(2)
+    function(np.array([-1.0]), out)
     assert out.tolist() == [1.0, 0.0]
-    made(np.array([1.0]), out)
+    function(np.array([1.0]), out)
     assert np.isnan(out).all()
 
 
@@ -218,21 +218,21 @@ def test_a_manifest_that_is_none_is_said(built, text):
 
 
 @pytest.mark.parametrize(
-    ("file", "stale", "good"),
+    ("file", "stale", "is_current"),
     [
         ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
         ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
         ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
     ],
 )
-def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, good):
+def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, is_current):
     if not isinstance(library.loaded(), library.Library) or library.loaded().edited:
         pytest.skip("needs the library of these sources")
     edited = library.source_hashes() | {file: "of another text"}
     monkeypatch.setattr(library, "source_hashes", lambda: edited)
-    found = library.Library()
-    assert all(file in found.why_not(name) for name in stale)
-    assert not any(found.why_not(name) for name in good)
+    loaded = library.Library()
+    assert all(file in loaded.why_not(name) for name in stale)
+    assert not any(loaded.why_not(name) for name in is_current)
 
 
 def test_without_numba_a_missing_library_is_refused_with_the_command(monkeypatch):
@@ -244,11 +244,11 @@ def test_without_numba_a_missing_library_is_refused_with_the_command(monkeypatch
 
 def test_an_unknown_way_to_run_kernels_is_refused():
     code = "import adaptrack.core.kernel"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], env={"ADAPTRACK_KERNELS": "fast", "PATH": ""}, capture_output=True, text=True
     )
-    assert done.returncode != 0
-    assert "ADAPTRACK_KERNELS=fast: need one of library, jit, interpreted." in done.stderr
+    assert process.returncode != 0
+    assert "ADAPTRACK_KERNELS=fast: need one of library, jit, interpreted." in process.stderr
 
 
 def test_a_step_loads_no_compiler():
@@ -288,14 +288,24 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
 
     low, high = 0.1, 0.7
     (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))
-    given = ["-std=c11", "-Wall", "-Wextra", "-Werror", "main.c", str(of_this_processor(built)), "-lm", "-o", "program"]
-    subprocess.run(["gcc", *given], cwd=tmp_path, check=True)
-    done = subprocess.run(
+    options = [
+        "-std=c11",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "main.c",
+        str(of_this_processor(built)),
+        "-lm",
+        "-o",
+        "program",
+    ]
+    subprocess.run(["gcc", *options], cwd=tmp_path, check=True)
+    process = subprocess.run(
         ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
     )
-    *sizes, place, answer, station = done.stdout.split()
+    *sizes, place, answer, station = process.stdout.split()
     expected = [8 * words(Mpc), 8 * words(RoadAhead), 8 * words(Settings), STATE.vx]
-    assert [int(each) for each in [*sizes, place]] == expected
+    assert [int(word) for word in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)
     assert float(station) == 3.0
 
@@ -303,4 +313,4 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
 def words(kind):
     """How many words of 8 bytes a record takes."""
     kinds = kind.kinds.values()
-    return sum(words(each) if hasattr(each, "kinds") else 1 + getattr(each, "ndim", 0) for each in kinds)
+    return sum(words(kind) if hasattr(kind, "kinds") else 1 + getattr(kind, "ndim", 0) for kind in kinds)

@@ -62,20 +62,20 @@ def test_the_limits_of_the_dense_problem_are_those_of_angle_and_rate(rng):
         u = rng.uniform(-0.08, 0.08, 5) * rng.choice([0.2, 1.0])
         changes = np.diff(np.concatenate([[0.01], u]))
         most = np.array([1.0, 2.0, 2.0, 2.0, 2.0])  # control periods in a change
-        kept = np.all((u >= -0.05) & (u <= 0.06) & (changes >= -0.01 * most) & (changes <= 0.008 * most))
-        assert kept == np.all(problem.M @ u <= problem.gamma)
+        is_within = np.all((u >= -0.05) & (u <= 0.06) & (changes >= -0.01 * most) & (changes <= 0.008 * most))
+        assert is_within == np.all(problem.M @ u <= problem.gamma)
 
 
 def rolled(controller: KinematicMPC, pose, commands: list[float], road) -> np.ndarray:
     """The state at the end of the dead time; commands: all given so far; road: of speed and curvature, by time (s)."""
     period, late, lag = controller.period, controller.belief.delay, controller.belief.lag.value
     start = -controller.pose_age
-    given = period * (np.arange(len(commands)) - len(commands)) + late  # when each command begins to act
+    begins = period * (np.arange(len(commands)) - len(commands)) + late  # when each command begins to act
     delta = commands[0]
-    for begin, end, u in zip(given, [*given[1:], late], commands, strict=True):
+    for begin, end, u in zip(begins, [*begins[1:], late], commands, strict=True):
         delta = u + (delta - u) * math.exp(-max(min(end, start) - begin, 0.0) / lag) if begin < start else delta
     state = np.array([*pose, delta])
-    for begin, end, u in zip(given, [*given[1:], late], commands, strict=True):
+    for begin, end, u in zip(begins, [*begins[1:], late], commands, strict=True):
         if end > start + 1e-12:
             begin = max(begin, start)
             A, B, w, _ = kinematic_model(CAR.wheelbase, lag, *road(begin, end), end - begin, controller.limits.angle)
@@ -111,9 +111,9 @@ def test_on_a_bend_every_stage_has_its_own_curvature_and_planned_speed():
 
     def along(begin, end):
         v = at_time(begin)
-        found = v, curvature(place[0] + 0.5 * v * (end - begin))
+        result = v, curvature(place[0] + 0.5 * v * (end - begin))
         place[0] += v * (end - begin)
-        return found
+        return result
 
     theta = pose[0] + CAR.lr * curvature(-0.5 * CAR.lr)
     state = rolled(controller, (pose[1] - CAR.lr * math.sin(theta), theta), [0.0] * 6, along)
@@ -154,9 +154,9 @@ def test_in_the_kinematic_turn_it_keeps_the_ackermann_angle(radius, lag):
 def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
     """On its own model, lag 0.3 s behind 0.5 s of dead time, with strong weights: settled or swinging."""
 
-    def last_errors(told: float) -> float:
+    def last_errors(dead_time: float) -> float:
         controller = made(
-            belief=Steering(lag=0.3, dead_time=told),
+            belief=Steering(lag=0.3, dead_time=dead_time),
             profile="paper",
             steering=0.05,
             steering_v2=0.005,
@@ -177,13 +177,13 @@ def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
 
 @pytest.mark.parametrize("share", [0.01, 0.15, 0.4])
 def test_the_filter_is_the_butterworth_filter_of_second_order(share, rng):
-    given = rng.normal(size=60)
-    expected = lfilter(*butter(2, 2.0 * share), given)
-    run, found = entry(kernel.filtered), [0.0, 0.0]
-    padded = [0.0, 0.0, *given.tolist()]
+    command = rng.normal(size=60)
+    expected = lfilter(*butter(2, 2.0 * share), command)
+    run, state = entry(kernel.filtered), [0.0, 0.0]
+    padded = [0.0, 0.0, *command.tolist()]
     for k in range(2, len(padded)):
-        found.append(run(padded[k], padded[k - 1], padded[k - 2], found[-1], found[-2], share))
-    np.testing.assert_allclose(found[2:], expected, atol=1e-10)
+        state.append(run(padded[k], padded[k - 1], padded[k - 2], state[-1], state[-2], share))
+    np.testing.assert_allclose(state[2:], expected, atol=1e-10)
     assert run(3.0, 1.0, 2.0, 4.0, 5.0, 0.0) == run(3.0, 1.0, 2.0, 4.0, 5.0, 0.5) == 3.0
 
 
@@ -200,23 +200,23 @@ def test_it_goes_on_from_an_angle_that_somebody_else_asked_for():
 
 def test_a_gap_of_the_pose_holds_the_command_and_keeps_the_wheel_angle_going():
     """After the gap it answers as a controller that held the same commands and saw the same pose."""
-    seen, blind = made(), made()
-    for controller in (seen, blind):
+    sighted, blind = made(), made()
+    for controller in (sighted, blind):
         controller.step([0.0, 0.01, 0.0, 0.2], 10.0, np.zeros(1))
     angle = blind.angle
     for _ in range(5):
         assert blind.step([0.0, math.nan, 0.0, math.nan], 10.0, np.zeros(1)).held
-        seen.step([0.0, 0.0, 0.0, 0.0], 10.0, np.zeros(1))
-        seen.applied(angle)
+        sighted.step([0.0, 0.0, 0.0, 0.0], 10.0, np.zeros(1))
+        sighted.applied(angle)
     pose = [0.0, 0.01, 0.0, 0.1]
     assert blind.step(pose, 10.0, np.zeros(1)).angle == pytest.approx(
-        seen.step(pose, 10.0, np.zeros(1)).angle, abs=1e-9
+        sighted.step(pose, 10.0, np.zeros(1)).angle, abs=1e-9
     )
 
 
 # -- what makes no controller ------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"lateral": 1.0}, "lateral: no weight of it; known are lateral_error"),
         ({"steering": 0.0, "steering_v2": 0.0}, "one of them must be positive"),
@@ -227,6 +227,6 @@ def test_a_gap_of_the_pose_holds_the_command_and_keeps_the_wheel_angle_going():
         ({"belief": 0.2}, "belief"),
     ],
 )
-def test_what_makes_no_controller_is_refused(options, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_what_makes_no_controller_is_refused(options, message):
+    with pytest.raises(InvalidInput, match=message):
         made(**options)

@@ -60,9 +60,9 @@ def right_hand_side(x, u, environment, p, dx):
 def law(situation, reference, road, tuning, parameters, memory, answer):
     """Offset and heading, with a memory; the road is looked at."""
     memory[0] = 0.9 * memory[0] + 0.1 * (situation[3] - reference[0])
-    wanted = -0.05 * (situation[3] - reference[0]) - 0.4 * situation[1] - 0.01 * memory[0] + 0.0 * road.station
+    command = -0.05 * (situation[3] - reference[0]) - 0.4 * situation[1] - 0.01 * memory[0] + 0.0 * road.station
     least, most = situation[5] + parameters[1], situation[5] + parameters[2]
-    answer[0] = min(max(wanted, least), most)
+    answer[0] = min(max(command, least), most)
 
 
 def path_of(plant, controller=None):
@@ -96,10 +96,10 @@ def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypa
     plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
     ours = path_of(plant, UserController(law, memory_size=1))
     monkeypatch.setattr(library, "can_compile", lambda: False)
-    found = member(law, void(vector, vector, RoadAhead, vector, vector, vector, vector))
-    assert found.in_python
+    function = member(law, void(vector, vector, RoadAhead, vector, vector, vector, vector))
+    assert function.in_python
     theirs = UserController(law, memory_size=1)
-    theirs._compiled = found
+    theirs._compiled = function
     assert path_of(plant, theirs) == pytest.approx(ours, rel=1e-9, abs=1e-12)
 
 
@@ -114,21 +114,21 @@ def test_what_is_raised_in_a_function_that_is_called_back_is_said_once_and_nothi
         out[0] = 1.0
         raise ZeroDivisionError("in the middle")
 
-    made, out = member(fails, float64(vector, vector)), np.zeros(2)
-    assert math.isnan(made(np.zeros(1), out))
-    assert math.isnan(made(np.zeros(1), out))
+    function, out = member(fails, float64(vector, vector)), np.zeros(2)
+    assert math.isnan(function(np.zeros(1), out))
+    assert math.isnan(function(np.zeros(1), out))
     assert np.isnan(out).all()
-    assert [each.message for each in caplog.records] == ["adaptrack: fails raised ZeroDivisionError('in the middle')"]
+    assert [entry.message for entry in caplog.records] == ["adaptrack: fails raised ZeroDivisionError('in the middle')"]
 
 
 def test_ctrl_c_in_a_function_that_is_called_back_is_heard(no_compiler):
     def interrupted(a, out):
         raise KeyboardInterrupt
 
-    made = member(interrupted, void(vector, vector))
+    function = member(interrupted, void(vector, vector))
 
     def call_and_go_on():
-        made(np.zeros(1), np.zeros(1))
+        function(np.zeros(1), np.zeros(1))
         time.sleep(30.0)
 
     with pytest.raises(KeyboardInterrupt):
@@ -142,8 +142,8 @@ def test_a_plant_in_c_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled):
     function = CFunction(str(tmp_path / "plant.so"), "right_hand_side")
     plant = UserPlant(pickle.loads(pickle.dumps(function)), NUMBERS, mass=1575.0)
     assert path_of(plant) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
-    found = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
-    assert not found.failed[0]
+    runs = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
+    assert not runs.failed[0]
 
 
 def test_a_function_that_is_not_in_its_library_is_refused_where_it_is_named():

@@ -54,10 +54,10 @@ def test_a_path_is_the_cubic_spline_of_scipy_at_its_arc_length(points, closed):
     speeds = np.linalg.norm(spline(cuts[:-1, np.newaxis] + half * (1.0 + nodes), 1), axis=-1)
     s = np.concatenate([[0.0], np.cumsum((half * weights * speeds).sum(axis=1))])
     assert road.length == pytest.approx(s[-1], rel=1e-11)
-    found, (dx, dy), (ddx, ddy) = road.at(np.minimum(s, road.length)), spline(cuts, 1).T, spline(cuts, 2).T
-    assert np.abs(np.stack([found.x, found.y], axis=-1) - spline(cuts)).max() < 1e-10
-    assert np.abs(np.sin(found.heading - np.arctan2(dy, dx))).max() < 1e-9
-    assert found.curvature == pytest.approx((dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3, rel=1e-8, abs=1e-9)
+    positions, (dx, dy), (ddx, ddy) = road.at(np.minimum(s, road.length)), spline(cuts, 1).T, spline(cuts, 2).T
+    assert np.abs(np.stack([positions.x, positions.y], axis=-1) - spline(cuts)).max() < 1e-10
+    assert np.abs(np.sin(positions.heading - np.arctan2(dy, dx))).max() < 1e-9
+    assert positions.curvature == pytest.approx((dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3, rel=1e-8, abs=1e-9)
 
 
 @pytest.mark.parametrize(("points", "closed"), [(BENDS, False), (OVAL, True)])
@@ -80,8 +80,8 @@ def test_a_path_nears_a_clothoid_with_the_fourth_power_of_the_distance_of_its_po
     errors = []
     for count in (17, 33, 65):
         points = true.at(np.linspace(0.0, 80.0, count))
-        found = road_through(np.stack([points.x, points.y], axis=-1))
-        errors.append(np.abs(found.project(*true.at(s)[:2]).offset).max())
+        path = road_through(np.stack([points.x, points.y], axis=-1))
+        errors.append(np.abs(path.project(*true.at(s)[:2]).offset).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 3.5).all()
 
@@ -100,9 +100,9 @@ def test_a_memory_holds_what_controllers_read_of_a_road():
 
 
 def test_a_path_far_from_the_origin_is_the_same_path():
-    here, there = line_of(BENDS), line_of(BENDS + 2.0**20)
-    assert np.abs(there.start - here.start).max() < 1e-6
-    assert np.abs(there.pieces[:, path.ALONG :] - here.pieces[:, path.ALONG :]).max() < 1e-6
+    near, there = line_of(BENDS), line_of(BENDS + 2.0**20)
+    assert np.abs(there.start - near.start).max() < 1e-6
+    assert np.abs(there.pieces[:, path.ALONG :] - near.pieces[:, path.ALONG :]).max() < 1e-6
 
 
 def test_a_path_from_a_planner_has_a_piece_for_every_step_and_sharp_bends_have_more():
@@ -210,20 +210,20 @@ def test_no_number_outside_of_a_memory_is_touched_and_too_small_a_one_is_said():
 
 def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
     """Random walks of all scales, with jumps, repetitions, huge and missing numbers."""
-    seen = set()
+    statuses = set()
     for _ in range(60):
         count = int(rng.integers(0, 12))
         points = np.cumsum(rng.normal(0.5, 10.0 ** rng.uniform(-4, 3), (count, 2)), axis=0)
         if count and rng.random() < 0.5:
             points[rng.integers(count)] = rng.choice([math.nan, math.inf, 1e300, -1e9, 0.0, points[0, 0]], 2)
         closed = bool(rng.random() < 0.3)
-        status, found, memory = made(points, closed)
-        seen.add(status)
+        status, line_length, memory = made(points, closed)
+        statuses.add(status)
         if status == path.OK:
             line, _ = path.line_in(memory)
-            assert all(np.isfinite(each).all() for each in line)
+            assert all(np.isfinite(array).all() for array in line)
             assert (np.diff(line.start) > 0.0).all()
-            first = of_pieces(line.pieces, -np.ones(found))
+            first = of_pieces(line.pieces, -np.ones(line_length))
             gaps = np.hypot(first.x[:, np.newaxis] - points[:, 0], first.y[:, np.newaxis] - points[:, 1]).min(axis=0)
             assert gaps[:-1].max() < 1e-7
-    assert {path.OK, path.TOO_FEW} < seen
+    assert {path.OK, path.TOO_FEW} < statuses

@@ -66,19 +66,24 @@ def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_th
     bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
     planning = to_plan(line_through(points, closed), car, friction=DRY.value[0], bounds=bounds)
     plan, road = planned(planning), road_through(points, closed=closed)
-    known = plan_speed(road, car)
-    np.testing.assert_array_equal(planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [known.s, known.speed, known.time])
-    np.testing.assert_array_equal(planning.table[PLAN.binding, :-1], known.binding)
-    assert plan.duration == known.duration
+    plan_in_python = plan_speed(road, car)
+    np.testing.assert_array_equal(
+        planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [plan_in_python.s, plan_in_python.speed, plan_in_python.time]
+    )
+    np.testing.assert_array_equal(planning.table[PLAN.binding, :-1], plan_in_python.binding)
+    assert plan.duration == plan_in_python.duration
 
-    drive, laps = RoadDrive(road, known, laps=2 if closed else 1, reference=0.4, wind=[1.0, -3.0]), 2 if closed else 1
+    drive, laps = (
+        RoadDrive(road, plan_in_python, laps=2 if closed else 1, reference=0.4, wind=[1.0, -3.0]),
+        2 if closed else 1,
+    )
     world = World.of(DualTrack(CAR), MPC(CAR, period=0.05), "paper", None, None, None)
-    wanted = world.samples(drive.sample(0.05), 0)
+    expected = world.samples(drive.sample(0.05), 0)
     count = drive_periods(plan.duration, laps, 0.05)
     samples, pose = np.full((len(SIGNAL), count + 1), np.nan), np.zeros(3)
-    one = Drive(planning.route, plan, 0.05, np.array([0.4]), np.array([1.0]), np.array([-3.0]))
-    drive_samples(one, samples)
-    np.testing.assert_array_equal(samples, wanted)
+    drive_in_c = Drive(planning.route, plan, 0.05, np.array([0.4]), np.array([1.0]), np.array([-3.0]))
+    drive_samples(drive_in_c, samples)
+    np.testing.assert_array_equal(samples, expected)
     drive_start(planning.route.line, 0.4, 0.0, pose)
     assert tuple(pose) == drive.start_pose()
 
@@ -146,9 +151,9 @@ def test_a_lap_is_periodic_and_no_other_lap_is_faster():
 def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value):
     line = Road.from_segments([Line(length=50.0)]).packed()
     bounds = BOUNDS._replace(**changes.get("bounds", {}))
-    found = kernel.plan_along_road(to_plan(line, bounds=bounds, bank=changes.get("bank", 0.0)))
-    assert found[0] == status
-    assert found[2] == pytest.approx(value)
+    code = kernel.plan_along_road(to_plan(line, bounds=bounds, bank=changes.get("bank", 0.0)))
+    assert code[0] == status
+    assert code[2] == pytest.approx(value)
 
 
 # -- places -----------------------------------------------------------------------------------------------------------
@@ -177,10 +182,10 @@ def test_what_lies_along_a_road_is_read_as_it_is_written():
     assert linear.at(4.0).shape == ()
     assert linear.replace(kind="steps") == steps
     fine = np.linspace(-5.0, 50.0, 5501)
-    for one, other in itertools.combinations(at.tolist(), 2):
-        inside = fine[(fine >= one) & (fine <= other)]
+    for first, other in itertools.combinations(at.tolist(), 2):
+        inside = fine[(fine >= first) & (fine <= other)]
         for along in (linear, steps):
-            assert along.least(one, other)[0] == pytest.approx(along.at(inside).min(), abs=1e-9)
+            assert along.least(first, other)[0] == pytest.approx(along.at(inside).min(), abs=1e-9)
 
 
 def test_the_edges_of_a_road_are_its_widths_away_from_it():

@@ -121,8 +121,8 @@ def test_a_users_plant_is_told_the_prescribed_acceleration(steering):
         dx[7] = u[1]
 
     plant = UserPlant(remembers, {}, 1.0, own_states=("told", "pushed"), steering=steering)
-    told = plant.derivative(np.zeros(8), [0.0, 0.0, 1.5], np.zeros(7))
-    assert (told[3], told[6]) == (1.5, 1.5)
+    slope = plant.derivative(np.zeros(8), [0.0, 0.0, 1.5], np.zeros(7))
+    assert (slope[3], slope[6]) == (1.5, 1.5)
     unaware = plant.derivative(np.zeros(8), [0.0, 40.0], np.zeros(7))
     assert (unaware[3], unaware[6], unaware[7]) == (99.0, -1.0, 40.0)
 
@@ -158,43 +158,43 @@ class Altered:
 
     def derivative(self, x, u, environment):
         self.calls += 1
-        good = self.good.derivative(x, u, environment)
-        return good if self.slope is None else self.slope(good, x, u, environment, self.calls)
+        slope = self.good.derivative(x, u, environment)
+        return slope if self.slope is None else self.slope(slope, x, u, environment, self.calls)
 
 
 def set_entry(place, value):
-    def slope(good, x, u, environment, calls):
-        good[place] = value(good, x, u)
-        return good
+    def slope(slope, x, u, environment, calls):
+        slope[place] = value(slope, x, u)
+        return slope
 
     return slope
 
 
-def write_to(which):
-    def slope(good, *arguments):
-        arguments[which][1] += 1e-9
-        return good
+def write_to(name):
+    def slope(slope, *arguments):
+        arguments[name][1] += 1e-9
+        return slope
 
     return slope
 
 
-def drifting(good, x, u, environment, calls):
-    return good + 1e-12 * calls
+def drifting(slope, x, u, environment, calls):
+    return slope + 1e-12 * calls
 
 
 BROKEN = {
     "its states must begin with": Altered(state_names=("Y", "X", *MOTION[2:])),
     r"packed\(\) must give one row of finite parameters": Altered(packed=lambda: np.full(34, np.nan)),
-    "every derivative must be written and finite.*yaw_rate": Altered(set_entry(5, lambda good, x, u: math.nan)),
+    "every derivative must be written and finite.*yaw_rate": Altered(set_entry(5, lambda slope, x, u: math.nan)),
     "x, u, environment and p must not be written to": Altered(write_to(0)),
     "the same arguments must give the same derivative": Altered(drifting),
-    r"position and yaw must obey kinematics, eq\. \(5\)": Altered(set_entry(1, lambda good, x, u: -good[1])),
-    "at zero steering the vehicle must go straight": Altered(set_entry(4, lambda good, x, u: good[4] + 0.01)),
+    r"position and yaw must obey kinematics, eq\. \(5\)": Altered(set_entry(1, lambda slope, x, u: -slope[1])),
+    "at zero steering the vehicle must go straight": Altered(set_entry(4, lambda slope, x, u: slope[4] + 0.01)),
     r"steering to the left \(positive\) must begin a turn to the left": Altered(
-        set_entry(5, lambda good, x, u: -good[5])
+        set_entry(5, lambda slope, x, u: -slope[5])
     ),
     "the mirrored steering must give the mirrored motion": Altered(
-        set_entry(5, lambda good, x, u: good[5] * (1.0 if u[0] >= 0.0 else 1.5))
+        set_entry(5, lambda slope, x, u: slope[5] * (1.0 if u[0] >= 0.0 else 1.5))
     ),
     "its steps must be small enough to integrate it": Altered(substeps=lambda period, top_speed: 1),
 }
@@ -217,17 +217,17 @@ def test_the_checker_integrates_in_the_period_that_will_be_used():
 
 
 def test_the_checker_refuses_a_plant_that_only_a_force_can_move():
-    def slope(good, x, u, environment, calls):
-        return np.where(np.isfinite(u[2]), math.nan, good)
+    def slope(slope, x, u, environment, calls):
+        return np.where(np.isfinite(u[2]), math.nan, slope)
 
     with pytest.raises(ContractError, match=r"must be written and finite.*under a prescribed acceleration, u\[2\]"):
         check_plant(Altered(slope), speeds=(10.0,))
 
 
-@pytest.mark.parametrize("which", [1, 2], ids=["u", "environment"])
-def test_the_checker_refuses_a_plant_that_writes_to_its_inputs(which):
+@pytest.mark.parametrize("name", [1, 2], ids=["u", "environment"])
+def test_the_checker_refuses_a_plant_that_writes_to_its_inputs(name):
     with pytest.raises(ContractError, match="must not be written to"):
-        check_plant(Altered(write_to(which)), speeds=(10.0,))
+        check_plant(Altered(write_to(name)), speeds=(10.0,))
 
 
 def writes_to_x(x, u, environment, p, dx):
@@ -278,16 +278,16 @@ def test_the_number_of_steps_is_a_positive_integer(steps):
 
 
 @pytest.mark.parametrize(
-    ("x", "u", "environment", "named"),
+    ("x", "u", "environment", "names"),
     [
         (np.zeros(5), np.zeros(2), np.ones(6), "x:"),
         (np.zeros(6), np.zeros(4), np.ones(6), "u:"),
         (np.zeros(6), np.zeros(2), np.ones(4), "environment:"),
     ],
 )
-def test_a_derivative_refuses_arrays_of_the_wrong_shape(x, u, environment, named):
+def test_a_derivative_refuses_arrays_of_the_wrong_shape(x, u, environment, names):
     for plant in (SingleTrack(CAR), user_plant()):
-        with pytest.raises(InvalidInput, match=named):
+        with pytest.raises(InvalidInput, match=names):
             plant.derivative(x, u, environment)
 
 
@@ -321,9 +321,9 @@ def test_a_users_plant_says_its_own_equilibrium():
 
     plant = user_plant(with_wheel, own_states=("wheel",), start=lambda motion: [motion[3] / 0.3])
     assert plant.initial_state([0, 0, 0, 12.0, 0, 0]).tolist() == [0, 0, 0, 12.0, 0, 0, pytest.approx(40.0)]
-    wrong = user_plant(with_wheel, own_states=("wheel",), start=lambda motion: [1.0, 2.0])
+    wrong_plant = user_plant(with_wheel, own_states=("wheel",), start=lambda motion: [1.0, 2.0])
     with pytest.raises(InvalidInput, match="start: shape"):
-        wrong.initial_state([0, 0, 0, 12.0, 0, 0])
+        wrong_plant.initial_state([0, 0, 0, 12.0, 0, 0])
 
 
 # -- stepped plants ---------------------------------------------------------------------------------------------------
@@ -370,19 +370,19 @@ def test_a_stepped_plant_is_checked_with_the_steps_of_the_loop():
     class Noting(Bicycle):
         longest_step = 0.02
 
-        def step(self, dt, *others):
-            seen.add(round(dt, 9))
-            return super().step(dt, *others)
+        def step(self, dt, *arguments):
+            steps.add(round(dt, 9))
+            return super().step(dt, *arguments)
 
-    seen = set()
+    steps = set()
     check_plant(Noting(), speeds=(10.0,), period=0.05)
-    assert seen == {round(0.05 / 3, 9)}
+    assert steps == {round(0.05 / 3, 9)}
 
 
 @pytest.mark.parametrize("longest", [0.0, -0.02, math.nan, "0.02", True, 1e-9])
 def test_a_stepped_plant_without_a_longest_step_that_can_be_is_refused_before_the_first(longest):
     plant = Bicycle()
-    plant.longest_step, plant.step = longest, lambda *given: pytest.fail("it is stepped")
+    plant.longest_step, plant.step = longest, lambda *arguments: pytest.fail("it is stepped")
     with pytest.raises(InvalidInput, match=r"Plant 'Bicycle': longest_step = "):
         check_plant(plant, period=0.05)
 

@@ -89,9 +89,9 @@ def test_the_law_applies_the_gains_at_the_nodes_of_its_table_and_nearly_so_betwe
 
 @pytest.mark.parametrize("factor", [0.03, 0.5, 30.0])
 def test_weights_that_change_change_the_gains_as_weights_given_at_the_start(factor):
-    controller, meant = made(), made(q_e=factor)
+    controller, expected = made(), made(q_e=factor)
     controller._tuning[0] = factor
-    answers = [each.step([0.0, 0.0, 0.0, 0.01], 12.0, np.zeros(1)).angle for each in (controller, meant)]
+    answers = [law.step([0.0, 0.0, 0.0, 0.01], 12.0, np.zeros(1)).angle for law in (controller, expected)]
     assert answers[0] == pytest.approx(answers[1], rel=0.06)
 
 
@@ -188,10 +188,10 @@ def test_behind_a_steering_lag_it_strays_less_on_clothoids_than_the_lqr_without_
 
 @pytest.mark.compiled
 def test_the_further_it_sees_the_lower_its_cost_until_all_that_counts_is_seen():
-    found = [driven(made(ahead=ahead), 0.2)[0] for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
-    assert found[:4] == sorted(found[:4], reverse=True)
-    assert found[0] > 1.2 * found[2]
-    assert found[4] == pytest.approx(found[3], rel=1e-3)
+    costs = [driven(made(ahead=ahead), 0.2)[0] for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
+    assert costs[:4] == sorted(costs[:4], reverse=True)
+    assert costs[0] > 1.2 * costs[2]
+    assert costs[4] == pytest.approx(costs[3], rel=1e-3)
 
 
 def test_a_pose_of_known_age_is_moved_on_with_the_present_motion():
@@ -203,14 +203,14 @@ def test_a_pose_of_known_age_is_moved_on_with_the_present_motion():
         belief=Steering(lag=0.0), limits=WIDE,
     )  # fmt: skip
     yaw, y = 0.02, 0.1
-    now = yaw + age * rate, y + age * speed * (yaw + 0.5 * age * rate)
+    current = yaw + age * rate, y + age * speed * (yaw + 0.5 * age * rate)
     first = late.step([0.0, yaw, rate, y], speed, np.zeros(1)).angle
-    assert first == pytest.approx(prompt.step([0.0, now[0], rate, now[1]], speed, np.zeros(1)).angle, abs=1e-12)
+    assert first == pytest.approx(prompt.step([0.0, current[0], rate, current[1]], speed, np.zeros(1)).angle, abs=1e-12)
 
 
 # -- what makes no controller ------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"q_e": 0.0}, "q_e = 0.0: must be finite and positive"),
         ({"r": math.inf}, "r = inf"),
@@ -220,6 +220,6 @@ def test_a_pose_of_known_age_is_moved_on_with_the_present_motion():
         ({"q_e": 1e300, "r": 1e-300}, "so far apart"),
     ],
 )
-def test_what_makes_no_controller_is_refused(options, said):
-    with pytest.raises(InvalidInput, match=said):
+def test_what_makes_no_controller_is_refused(options, message):
+    with pytest.raises(InvalidInput, match=message):
         made(**options)

@@ -145,9 +145,9 @@ def test_a_newton_step_measures_how_far_x_is_from_the_solution(rng):
         qp = QP(*drawn_problem(rng, 8, 24))
         solution = get_qp_solver().solve(qp)
         assert newton_distance(qp, solution.x, solution.lam) < 1e-10
-        away = 1e-5 * rng.normal(size=8)
-        measured = newton_distance(qp, solution.x + away, solution.lam)
-        assert measured == pytest.approx(np.abs(away).max(), rel=0.2)
+        distance = 1e-5 * rng.normal(size=8)
+        measured = newton_distance(qp, solution.x + distance, solution.lam)
+        assert measured == pytest.approx(np.abs(distance).max(), rel=0.2)
 
 
 # -- Hildreth's policy ------------------------------------------------------------------------------------------------
@@ -165,11 +165,11 @@ def test_hildreth_may_apply_or_hold_instead_and_says_capped(slow_to_converge):
     applied = get_qp_solver("hildreth", on_uncertified="apply").solve(slow_to_converge)
     assert applied.status is QPStatus.CAPPED
     assert applied.usable
-    held = get_qp_solver("hildreth", on_uncertified="hold").solve(slow_to_converge)
-    assert held.status is QPStatus.CAPPED
-    assert not held.usable
-    assert np.isnan(held.x).all()
-    assert "exact solver" in held.message
+    held_solution = get_qp_solver("hildreth", on_uncertified="hold").solve(slow_to_converge)
+    assert held_solution.status is QPStatus.CAPPED
+    assert not held_solution.usable
+    assert np.isnan(held_solution.x).all()
+    assert "exact solver" in held_solution.message
 
 
 @pytest.mark.parametrize("options", [{"max_sweeps": 0}, {"tolerance": -1.0}, {"tolerance": np.nan},

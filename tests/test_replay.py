@@ -59,10 +59,10 @@ def ask_page(path, script, width=1400, fragment=""):
     )
     page = with_script(path.read_text(encoding="utf-8"), COLLECT % script)
     pages = {"/": Served(f"<!doctype html>{frame}</iframe>"), "/page": Served(page)}
-    found, said = browser.ask(pages)
-    assert found["failures"] == []
-    assert said == []
-    return found
+    answer, messages = browser.ask(pages)
+    assert answer["failures"] == []
+    assert messages == []
+    return answer
 
 
 @pytest.fixture(scope="module")
@@ -100,32 +100,32 @@ SEEK = (
 
 
 @pytest.fixture(scope="module", params=[1400, 400])
-def seen(request, page):
-    found = ask_page(page, SEEK, request.param)
-    assert found["width"] == request.param
-    return found
+def answers(request, page):
+    answer = ask_page(page, SEEK, request.param)
+    assert answer["width"] == request.param
+    return answer
 
 
-def test_the_car_is_where_it_was_at_three_instants(seen, drives):
-    for t, shown in zip(INSTANTS, seen["seen"], strict=True):
-        for drive, car in zip(drives, shown["near"]["cars"], strict=True):
+def test_the_car_is_where_it_was_at_three_instants(answers, drives):
+    for t, view in zip(INSTANTS, answers["seen"], strict=True):
+        for drive, car in zip(drives, view["near"]["cars"], strict=True):
             when = min(t, float(drive.time[-1]))
             for name in ("x", "y", "yaw", "station", "speed", "offset", "steering"):
                 assert car[name] == pytest.approx(np.interp(when, drive.time, getattr(drive, name)), abs=6e-3), name
 
 
-def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(seen):
-    for shown in seen["seen"]:
-        state = shown["near"]
+def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(answers):
+    for view in answers["seen"]:
+        state = view["near"]
         assert state["follow"]
         assert state["cars"][0]["pixel"] == pytest.approx([0.5 * state["width"], 0.5 * state["height"]])
-        red, _, blue, opaque = shown["colour"]  # the first series is blue, the road grey
+        red, _, blue, opaque = view["colour"]  # the first series is blue, the road grey
         assert blue - red > 60
         assert opaque == 255
 
 
-def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(seen, drives):
-    first, last = seen["whole"]
+def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(answers, drives):
+    first, last = answers["whole"]
     assert first["whole"]
     ends = [np.array(state["cars"][0]["pixel"]) for state in (first, last)]
     there = [np.array([np.interp(t, drives[0].time, v) for v in (drives[0].x, drives[0].y)]) for t in (2.0, 17.5)]
@@ -135,24 +135,24 @@ def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(seen, drives):
         assert 0.0 < pixel[1] < first["height"]
 
 
-def test_values_stand_beside_the_picture(seen, drives):
+def test_values_stand_beside_the_picture(answers, drives):
     drive = drives[0]
-    words = seen["seen"][0]["words"]
+    words = answers["seen"][0]["words"]
     assert words[0] == "2.00 s"
     assert words[1] == "20.0 m"
     assert words[3] == "10.00 m/s"
     assert float(words[2].split()[0]) == pytest.approx(np.interp(2.0, drive.time, drive.offset), abs=1e-3)
-    degrees, radians = (float(text) for text in re.findall(r"−?[\d.]+", seen["seen"][1]["words"][4]))
+    degrees, radians = (float(text) for text in re.findall(r"−?[\d.]+", answers["seen"][1]["words"][4]))
     assert radians == pytest.approx(np.interp(9.13, drive.time, drive.steering), abs=1e-4)
     assert degrees == pytest.approx(np.degrees(radians), abs=0.01)
 
 
-def test_nothing_is_wider_than_the_window(seen):
-    assert seen["overflow"] <= 0
+def test_nothing_is_wider_than_the_window(answers):
+    assert answers["overflow"] <= 0
 
 
 def test_it_plays_pauses_and_ends(page):
-    found = ask_page(
+    answer = ask_page(
         page,
         """
         part("play").click();
@@ -170,15 +170,15 @@ def test_it_plays_pauses_and_ends(page):
         found.ended = replay.state();
         found.again = (replay.play(), replay.state());""",
     )
-    assert found["playing"]["playing"]
-    assert not found["paused"]["playing"]
-    assert found["later"]["t"] == found["paused"]["t"]
-    assert found["ended"]["t"] == pytest.approx(18.25, abs=0.03)
-    assert found["again"]["t"] == 0.0
+    assert answer["playing"]["playing"]
+    assert not answer["paused"]["playing"]
+    assert answer["later"]["t"] == answer["paused"]["t"]
+    assert answer["ended"]["t"] == pytest.approx(18.25, abs=0.03)
+    assert answer["again"]["t"] == 0.0
 
 
 def test_keys_slider_wheel_and_drag_do_what_they_say(page):
-    found = ask_page(
+    answer = ask_page(
         page,
         """
         replay.seek(5);
@@ -215,22 +215,22 @@ def test_keys_slider_wheel_and_drag_do_what_they_say(page):
         found.names = [...controls].map(
           each => each.getAttribute("aria-label") || each.closest("label")?.textContent || each.textContent);""",
     )
-    assert (found["on"], found["back"], found["home"]) == (6.0, 4.0, 0.0)
-    assert found["end"] == pytest.approx(18.25, abs=0.03)
-    assert found["played"]
-    assert found["slid"] == 7.5
-    assert found["spoken"].startswith("7.50 s, station 75.0 m, offset ")
-    assert found["zoomed"] == pytest.approx(1.4)
-    assert found["wheeled"] > 1.4
-    assert found["follows"]
-    assert found["free"]
-    assert found["moved"] == pytest.approx([60.0, 30.0])
-    assert found["pinched"] == pytest.approx(2.0)
-    other = found["other"]
+    assert (answer["on"], answer["back"], answer["home"]) == (6.0, 4.0, 0.0)
+    assert answer["end"] == pytest.approx(18.25, abs=0.03)
+    assert answer["played"]
+    assert answer["slid"] == 7.5
+    assert answer["spoken"].startswith("7.50 s, station 75.0 m, offset ")
+    assert answer["zoomed"] == pytest.approx(1.4)
+    assert answer["wheeled"] > 1.4
+    assert answer["follows"]
+    assert answer["free"]
+    assert answer["moved"] == pytest.approx([60.0, 30.0])
+    assert answer["pinched"] == pytest.approx(2.0)
+    other = answer["other"]
     assert other["cars"][1]["pixel"] == pytest.approx([0.5 * other["width"], 0.5 * other["height"]])
     assert other["cars"][1]["failed"]
-    assert found["words"] == "18.00 s failed"
-    assert all(name.strip() for name in found["names"])
+    assert answer["words"] == "18.00 s failed"
+    assert all(name.strip() for name in answer["names"])
 
 
 def test_no_script_runs_but_the_replay(page):
@@ -243,5 +243,5 @@ def test_no_script_runs_but_the_replay(page):
 
 
 def test_a_link_to_an_instant_opens_there(page):
-    found = ask_page(page, "found.t = replay.state().t;", fragment="#t=12.5")
-    assert found["t"] == 12.5
+    answer = ask_page(page, "found.t = replay.state().t;", fragment="#t=12.5")
+    assert answer["t"] == 12.5

@@ -105,11 +105,11 @@ def test_a_rule_that_asks_nothing_always_holds():
 
 def scipys(table, x):
     """SciPy's interpolation, held beyond the last node; an axis of one node is left out."""
-    more = [d for d, axis in enumerate(table.axes) if len(axis) > 1]
-    if not more:
+    longer = [d for d, axis in enumerate(table.axes) if len(axis) > 1]
+    if not longer:
         return np.full(len(x), table.values.item())
-    axes = [table.axes[d] for d in more]
-    x = np.column_stack([np.clip(x[:, d], axis[0], axis[-1]) for d, axis in zip(more, axes, strict=True)])
+    axes = [table.axes[d] for d in longer]
+    x = np.column_stack([np.clip(x[:, d], axis[0], axis[-1]) for d, axis in zip(longer, axes, strict=True)])
     method = {"nearest": "nearest", "multilinear": "linear"}[table.method]
     return RegularGridInterpolator(axes, table.values.squeeze(), method)(x)
 
@@ -138,8 +138,8 @@ class Drive:
         self.plan, self.tuning = schedule.plan(slots), np.array([tuning] * slots, dtype=float)
 
     def __call__(self, slot=0, **variables):
-        given = {"speed": 10.0, "y_ref": 0.0, "friction": 0.8, "wind": 0.0, **variables}
-        row = np.array(SchedulingVariables(**given), dtype=float)
+        values = {"speed": 10.0, "y_ref": 0.0, "friction": 0.8, "wind": 0.0, **variables}
+        row = np.array(SchedulingVariables(**values), dtype=float)
         kernel.schedule(slot, row, self.plan, self.tuning[slot])
         return self.tuning[slot].tolist()
 
@@ -149,8 +149,8 @@ class Drive:
 
 def speedy(**functions):
     """A schedule by speed within 0..20 m/s: Np = 20 + speed, and the rest constant unless told."""
-    told = {"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 100.0} | functions
-    return Learned(told, ("speed",), [[0.0, 20.0]])
+    entries = {"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 100.0} | functions
+    return Learned(entries, ("speed",), [[0.0, 20.0]])
 
 
 @pytest.mark.parametrize("place", range(len(VARIABLES)))
@@ -281,7 +281,7 @@ def test_a_tuning_too_near_instability_gives_way_only_as_far_as_it_must():
 
 
 @pytest.mark.parametrize(
-    ("bad", "condition", "functions"),
+    ("value", "condition", "functions"),
     [
         (lambda speed, *_: speed >= 20, {"speed": 19.0}, {}),
         (lambda speed, friction, *_: friction < 0.5, {"friction": 0.4}, {}),
@@ -292,8 +292,8 @@ def test_a_tuning_too_near_instability_gives_way_only_as_far_as_it_must():
     ],
     ids=["speed", "friction", "Np", "Nc", "R", "ratio"],
 )
-def test_every_axis_of_the_stability_map_is_looked_at(bad, condition, functions):
-    where = stability_map(lambda *at: 1.3 if bad(*at) else 0.5)
+def test_every_axis_of_the_stability_map_is_looked_at(value, condition, functions):
+    where = stability_map(lambda *at: 1.3 if value(*at) else 0.5)
     plain = {"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 0.1, **functions}
     drive = Drive(Guarded(speedy(**plain), FALLBACK, stability=where))
     drive(**condition)

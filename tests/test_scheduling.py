@@ -203,9 +203,9 @@ def test_a_look_up_gives_at_its_nodes_what_was_put_there(method, rng):
     ], axis=-1)  # fmt: skip
     schedule = Lookup(axes, tunings, method)
     for (i, speed), (j, wind) in itertools.product(enumerate(axes["speed"]), enumerate(axes["wind"])):
-        asked = schedule(SchedulingVariables(speed, 0.0, 0.8, wind))
-        assert asked[:2] == tuple(tunings[i, j, :2])
-        assert asked[2:] == pytest.approx(tunings[i, j, 2:], rel=0.0 if method == "nearest" else 1e-14)
+        answer = schedule(SchedulingVariables(speed, 0.0, 0.8, wind))
+        assert answer[:2] == tuple(tunings[i, j, :2])
+        assert answer[2:] == pytest.approx(tunings[i, j, 2:], rel=0.0 if method == "nearest" else 1e-14)
 
 
 def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithms_of_weights():
@@ -347,15 +347,15 @@ def test_a_short_row_of_variables_is_filled_with_zeros_never_with_what_was_asked
 
 # -- what a schedule was made for -------------------------------------------------------------------------------------
 def test_a_file_names_what_the_schedule_was_made_for(tmp_path):
-    told = made_for(published_mpc(CAR, period=0.05, preview=True), "road")
-    assert told["car"] == "paper"
-    assert told["profile"] == "road"
-    assert told["controller"] == {
+    expected = made_for(published_mpc(CAR, period=0.05, preview=True), "road")
+    assert expected["car"] == "paper"
+    assert expected["profile"] == "road"
+    assert expected["controller"] == {
         "kind": "MPC", "model": "incremental", "moves": {"kind": "pulse"}, "period": 0.05, "preview": True,
     }  # fmt: skip
-    assert re.fullmatch("[0-9a-f]{16}", told["kernels"])
-    dataclasses.replace(Constant(Tuning()), made_for=told).save(tmp_path / "one.json")
-    assert load_scheduler(tmp_path / "one.json").made_for == told
+    assert re.fullmatch("[0-9a-f]{16}", expected["kernels"])
+    dataclasses.replace(Constant(Tuning()), made_for=expected).save(tmp_path / "one.json")
+    assert load_scheduler(tmp_path / "one.json").made_for == expected
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------
@@ -481,12 +481,12 @@ def sober(kind, rng):
     """A schedule that keeps the car on a road."""
     schedule = KINDS[kind](rng)
     bounds = {"Np": (20.0, 45.0), "Nc": (2.0, 10.0), "Q": (0.8, 1.2), "R": (1e3, 1e4)}
-    held = {}
+    tunings = {}
     for name, entry in schedule.tuning.items():
         low, high = bounds[name]
         function = 0.5 * (low + high) if isinstance(entry.function, Number) else entry.function
-        held[name] = dataclasses.replace(entry, function=function, low=low, high=high)
-    return dataclasses.replace(schedule, tuning=held)
+        tunings[name] = dataclasses.replace(entry, function=function, low=low, high=high)
+    return dataclasses.replace(schedule, tuning=tunings)
 
 
 def driven(kind, rng, **options):

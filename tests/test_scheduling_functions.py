@@ -59,10 +59,10 @@ def test_a_kind_of_ones_own_is_driven_saved_and_loaded(tmp_path):
             return Table((np.array(self.x),), np.array(self.y)).pack()
 
         def shifted(self, by):
-            return Ramp(self.x, tuple(each + by for each in self.y))
+            return Ramp(self.x, tuple(number + by for number in self.y))
 
         def blended(self, share, value):
-            return Ramp(self.x, tuple((1.0 - share) * each + share * value for each in self.y))
+            return Ramp(self.x, tuple((1.0 - share) * number + share * value for number in self.y))
 
         def save(self):
             return {"x": self.x, "y": self.y}
@@ -97,7 +97,7 @@ def test_the_compiled_schedule_is_shifted_too_each_entry_by_its_own(kind, rng):
     raw = functions(rng)[kind]
     rows = np.zeros((20, len(VARIABLES)))
     rows[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
-    wide = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
+    bounds = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
 
     def batch(by):
         low = 100.0 - float(raw.predict(rows[:, :2]).min())  # well within the bounds, and Nc below Np
@@ -106,7 +106,7 @@ def test_the_compiled_schedule_is_shifted_too_each_entry_by_its_own(kind, rng):
             "Nc": raw.shifted(low + by[1]),
             "log10_ratio": raw.shifted(by[2]),
         }
-        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, wide).batch(rows)
+        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, bounds).batch(rows)
 
     base, moved = batch((0.0, 0.0, 0.0)), batch((3.0, -2.0, 0.15))
     assert base[:, :2].min() > 1.0

@@ -35,7 +35,7 @@ def test_what_may_be_left_out_at_the_end_is_zero():
 
 
 @pytest.mark.parametrize(
-    "given",
+    "values",
     [
         [],
         [15.0, 1.0, 0.8],
@@ -51,9 +51,9 @@ def test_what_may_be_left_out_at_the_end_is_zero():
     ],
     ids=range(11),
 )
-def test_missing_variables_and_what_is_no_number_are_refused(given):
+def test_missing_variables_and_what_is_no_number_are_refused(values):
     with pytest.raises(InvalidInput, match="need 7 numbers, speed, y_ref"):
-        complete(given)
+        complete(values)
 
 
 # -- the reference ahead ----------------------------------------------------------------------------------------------

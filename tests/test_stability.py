@@ -103,18 +103,18 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
     mpc = published_mpc(CAR, Tuning(*tuning), period=0.05)
-    driven = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
+    run = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
     law = laws(mpc, speed, tuning)
     body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
     matrix = loops(body, law)[0]
     z = np.zeros(len(matrix))
     z[:-1] = offset * body.c[3]
     z[-1] = -law.k[0, 3] / law.k[0, 4] * offset  # the sum of y that makes the last command zero
-    foretold = [z := z if i == 0 else matrix @ z for i in range(len(driven))] @ np.append(body.c[3], 0.0)
+    foretold = [z := z if i == 0 else matrix @ z for i in range(len(run))] @ np.append(body.c[3], 0.0)
     small = np.maximum.accumulate(np.abs(foretold)) < 1e-3  # tyres are linear
-    np.testing.assert_allclose(driven[small], foretold[small], atol=2e-4 * np.abs(foretold[small]).max())
+    np.testing.assert_allclose(run[small], foretold[small], atol=2e-4 * np.abs(foretold[small]).max())
     # its last 8 s obey a linear recurrence, whose slowest mode is the rate
-    tail = driven[small][-160:]
+    tail = run[small][-160:]
     rows = np.lib.stride_tricks.sliding_window_view(tail, 5)
     coefficients = np.linalg.lstsq(rows[:, :4], rows[:, 4])[0]
     rate = np.abs(np.roots([1.0, *-coefficients[::-1]])).max()
@@ -135,9 +135,9 @@ def literal_loop(plant, mpc, speed, tuning, profile):
     def step(state):
         x, command, last = state[: n + 1], state[n + 1], state[n + 2 :]
         measured = x[order]
-        now = command - k @ np.append(measured - last, measured[3])
-        acting = command if profile.delay else now
-        return np.concatenate([(flow @ np.append(x, acting))[: n + 1], [now], measured])
+        angle = command - k @ np.append(measured - last, measured[3])
+        acting = command if profile.delay else angle
+        return np.concatenate([(flow @ np.append(x, acting))[: n + 1], [angle], measured])
 
     return np.array([step(unit) for unit in np.eye(n + 6)]).T
 
@@ -234,9 +234,9 @@ def lagging(pole, gain):
 @pytest.mark.parametrize(("pole", "gain"), [(0.0, 0.4), (0.5, 0.1), (0.9, 0.02), (-0.3, 0.7)])
 def test_margins_are_those_of_an_analytic_loop(pole, gain):
     """z^2 - (1 + pole) z + pole + g gain has its roots inside the unit circle for 0 < g < (1 - pole)/gain."""
-    found = margins(*lagging(pole, gain), 0.1)
-    assert found.gain_up[0] == pytest.approx((1.0 - pole) / gain, rel=1e-3)
-    assert found.gain_down[0] == 0.0
+    result = margins(*lagging(pole, gain), 0.1)
+    assert result.gain_up[0] == pytest.approx((1.0 - pole) / gain, rel=1e-3)
+    assert result.gain_down[0] == 0.0
 
     def size(angle):
         z = np.exp(1j * angle)
@@ -244,20 +244,20 @@ def test_margins_are_those_of_an_analytic_loop(pole, gain):
 
     angle = brentq(size, 1e-3, np.pi)
     phase = np.pi - (angle + np.pi) / 2.0 - np.angle(np.exp(1j * angle) - pole)
-    assert found.delay[0] == pytest.approx(0.1 * phase / angle, rel=1e-3)
+    assert result.delay[0] == pytest.approx(0.1 * phase / angle, rel=1e-3)
     roots = np.roots([1.0, -(1.0 + pole), pole + gain])
-    assert found.radius[0] == pytest.approx(np.abs(roots).max())
+    assert result.radius[0] == pytest.approx(np.abs(roots).max())
     z = np.exp(1j * np.linspace(1e-3, np.pi, 200_000))
     distance = np.abs(1.0 + gain / ((z - pole) * (z - 1.0))).min()
-    assert found.modulus_margin[0] == pytest.approx(min(distance, 1.0), abs=1e-4)
+    assert result.modulus_margin[0] == pytest.approx(min(distance, 1.0), abs=1e-4)
 
 
 def test_the_delay_margin_is_exact_for_whole_periods():
     """1/z^2 (z - 1) is at the verge with the gain 2 sin(pi/10): so 1/z (z - 1) with this gain bears one period more."""
     gain = 2.0 * np.sin(np.pi / 10.0)
-    found = margins(*lagging(0.0, gain), 0.05)
-    assert found.delay[0] == pytest.approx(0.05, rel=1e-4)
-    assert found.gain_up[0] == pytest.approx((1.0 + np.sqrt(5.0)) / 2.0, rel=1e-4)
+    result = margins(*lagging(0.0, gain), 0.05)
+    assert result.delay[0] == pytest.approx(0.05, rel=1e-4)
+    assert result.gain_up[0] == pytest.approx((1.0 + np.sqrt(5.0)) / 2.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("mpc", [ROAD_MPC, INFORMED], ids=["published", "informed"])
@@ -267,20 +267,24 @@ def test_at_its_margins_the_cars_loop_is_at_the_verge(turning, mpc):
     if mpc is INFORMED:
         tunings[:, 3] *= 1e-2
     for speed in (6.0, 16.0, 26.0):
-        how = {"friction": 0.7, "profile": "road", "lateral_acceleration": hard_turn(speed, 0.7) if turning else 0.0}
+        options = {
+            "friction": 0.7,
+            "profile": "road",
+            "lateral_acceleration": hard_turn(speed, 0.7) if turning else 0.0,
+        }
         k = laws(mpc, speed, tunings)
-        body = sampled(PLANT, 0.05, speed, **how)
-        found = margins(body, k, 0.05)
-        stable = np.flatnonzero(found.radius < 0.995)[:8]
+        body = sampled(PLANT, 0.05, speed, **options)
+        result = margins(body, k, 0.05)
+        stable = np.flatnonzero(result.radius < 0.995)[:8]
         assert len(stable) >= 4
         for i in stable:
             law = k[i : i + 1]
-            for factor in (found.gain_up[i], found.gain_down[i]):
+            for factor in (result.gain_up[i], result.gain_down[i]):
                 assert radii(loops(body, law, factor))[0] == pytest.approx(1.0, abs=2e-4)
             for share, stays in ((0.9, True), (1.1, False)):
-                late = sampled(PLANT, 0.05, speed, **how, delay=share * found.delay[i])
+                late = sampled(PLANT, 0.05, speed, **options, delay=share * result.delay[i])
                 assert (radii(loops(late, law))[0] < 1.0) is np.bool_(stays)
-            for factor in np.linspace(found.gain_down[i], found.gain_up[i], 9)[1:-1]:
+            for factor in np.linspace(result.gain_down[i], result.gain_up[i], 9)[1:-1]:
                 assert radii(loops(body, law, factor))[0] < 1.0
 
 
@@ -347,15 +351,15 @@ def written_out(mpc, noise, speed, measured, commands):
     textbook.P = np.zeros((len(gain), len(gain)))
     a, b, _ = mpc.model.discrete(speed)
     f, _ = textbook.matrices(speed, 0.05)
-    found, last = [], 0.0
-    for seen, command in zip(measured, commands, strict=True):
+    commands_expected, last = [], 0.0
+    for sample, command in zip(measured, commands, strict=True):
         textbook.sent = [last, *textbook.sent[:-1]]
         textbook.predict(speed)
-        textbook.z = textbook.z + gain @ (seen * read.any(axis=1) - read @ textbook.z)
+        textbook.z = textbook.z + gain @ (sample * read.any(axis=1) - read @ textbook.z)
         x, d = textbook.ahead(speed)[: textbook.n], f[: textbook.n, textbook.n :] @ textbook.z[textbook.n :]
-        found.append([*(a @ x + b[:, 0] * last + d - x), x[-1]])
+        commands_expected.append([*(a @ x + b[:, 0] * last + d - x), x[-1]])
         last = command
-    return np.array(found)
+    return np.array(commands_expected)
 
 
 @pytest.mark.parametrize("noise", SENSORS.values(), ids=list(SENSORS))
@@ -364,13 +368,13 @@ def test_the_linear_estimator_is_the_filter_with_the_gain_of_riccatis_equation(l
     rng, mpc = np.random.default_rng(8), knowing(lag, dead_time, noise)
     measured, commands = 1e-3 * rng.normal(size=(60, 5)), 1e-3 * rng.normal(size=60)
     for speed in (4.0, 22.0):
-        own, found = linear_estimator(mpc, speed), []
-        s = np.zeros(len(own.a))
+        estimator, angles = linear_estimator(mpc, speed), []
+        s = np.zeros(len(estimator.a))
         for m, u in zip(measured, commands, strict=True):
-            found.append(own.c @ s + own.d @ given(m))
-            s = own.a @ s + own.e @ given(m) + own.f * u
+            angles.append(estimator.c @ s + estimator.d @ given(m))
+            s = estimator.a @ s + estimator.e @ given(m) + estimator.f * u
         expected = written_out(mpc, noise, speed, measured, commands)
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+        np.testing.assert_allclose(angles, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
 def as_measured(speed, measured, command, a, b, parameters, memory, x, d):
@@ -397,16 +401,16 @@ def test_the_law_gives_the_commands_of_the_controller(mpc):
     """Its own steps, settled, for small measurements; the QP far from its limits."""
     speed, rng = 15.0, np.random.default_rng(9)
     law = laws(mpc, speed, mpc.tuning.as_array())
-    own, gain = law.estimator, law.k[0]
+    estimator, gain = law.estimator, law.k[0]
     mpc.reset()
     for k in range(1500):
         mpc.step(np.full(5, 1e-30 * (-1.0) ** k), speed, [0.0])  # what always reads the same may count as stuck
-    s = np.zeros(len(own.a))
+    s = np.zeros(len(estimator.a))
     for _ in range(80):
         m = 1e-6 * rng.normal(size=5)
-        command = own.h @ s - gain @ (own.c @ s + own.d @ given(m))
+        command = estimator.h @ s - gain @ (estimator.c @ s + estimator.d @ given(m))
         assert mpc.step(m, speed, [0.0]).angle == pytest.approx(command, rel=1e-6, abs=1e-13)
-        s = own.a @ s + own.e @ given(m) + own.f * command
+        s = estimator.a @ s + estimator.e @ given(m) + estimator.f * command
 
 
 @pytest.mark.parametrize("name", ["published", "informed"])
@@ -446,10 +450,10 @@ def test_a_mismatch_is_the_plant_with_those_numbers():
         Mismatch(dead_time=0.07): (PLANT, ROAD, 0.07),
         Mismatch(dead_time=-0.05): (PLANT, ROAD.replace(delay=0.0), 0.0),
     }.items():
-        found = by.sampled(PLANT, 0.05, 18.0, friction=0.6, profile=ROAD)
+        model = by.sampled(PLANT, 0.05, 18.0, friction=0.6, profile=ROAD)
         expected = sampled(plant, 0.05, 18.0, friction=0.6, profile=world, delay=late)
-        for one, other in zip(found, expected, strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+        for first, other in zip(model, expected, strict=True):
+            np.testing.assert_allclose(first, other, rtol=1e-9, atol=1e-12)
 
 
 def test_a_mismatch_that_means_nothing_is_refused():
@@ -465,9 +469,9 @@ def test_a_mismatch_that_means_nothing_is_refused():
 
 def test_a_dead_time_of_the_actuator_is_delay_for_the_loop_and_late_samples_are_refused():
     steering = ROAD.steering.replace(dead_time=0.07)
-    known = sampled(PLANT, 0.05, 15.0, profile=ROAD.replace(steering=steering))
+    delayed = sampled(PLANT, 0.05, 15.0, profile=ROAD.replace(steering=steering))
     added = sampled(PLANT, 0.05, 15.0, profile=ROAD, delay=0.07)
-    np.testing.assert_array_equal(known.a, added.a)
+    np.testing.assert_array_equal(delayed.a, added.a)
     with pytest.raises(InvalidInput, match="its samples are late"):
         sampled(PLANT, 0.05, 15.0, profile="production")
 

@@ -51,11 +51,11 @@ def compiled(controller, path=ROAD, plan=None):
     return tracking, stepper(tracking)
 
 
-def call(tracking, step, *given):
+def call(tracking, step, *numbers):
     """A call: t, now, x, y, ... in the order of `SAMPLE`, missing ones NaN; what it gives."""
     sample = tracking.tracker.sample
     sample[:] = math.nan
-    sample[: len(given)] = given
+    sample[: len(numbers)] = numbers
     step()
     return tracking.tracker.tracked.tolist()
 
@@ -70,7 +70,7 @@ def wild_calls(rng, path, count, hostile=0.03):
         t, s = t + step, s + speed * max(step, 0.0)
         late = float(rng.choice([0.0, 0.0, 0.05, 0.12, 0.3]))
         place = path.at(s - speed * late)
-        x, y, yaw, curvature = (float(each) for each in place)
+        x, y, yaw, curvature = (float(column) for column in place)
         row = np.array(
             [t - late, t, x, y, math.remainder(yaw, math.tau), speed, speed * curvature, 0.0, math.nan, math.nan]
         )
@@ -90,7 +90,7 @@ def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rn
     tracker, tracking = Tracker(make(), ROAD, plan=PLAN), tracking_of(make(), ROAD, PLAN)
     step = stepper(tracking)
     for k, row in enumerate(wild_calls(rng, ROAD, 400)):
-        t, now, x, y, yaw, speed, rate, vy, pull, wheel = row
+        t, clock, x, y, yaw, speed, rate, vy, pull, wheel = row
         if k == 120:
             tracker.engage(0.05)
             tracker_engage(0.05, math.nan, tracking.tracker)
@@ -100,13 +100,13 @@ def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rn
             tracking = tracking._replace(tracker=other)
             step = stepper(tracking)
             tracker_follow(math.nan, other)
-        one = tracker.step(
-            t, x, y, yaw, speed, rate, lateral_velocity=vy, lateral_acceleration=pull, wheel_angle=wheel, now=now
+        answer = tracker.step(
+            t, x, y, yaw, speed, rate, lateral_velocity=vy, lateral_acceleration=pull, wheel_angle=wheel, now=clock
         )
-        found = call(tracking, step, *row)
-        assert list(Status)[int(found[TRACKED.status])] is one.status
-        np.testing.assert_array_equal(found[:1] + found[2:5], [one.command, *one[2:5]])
-    assert math.isfinite(one.command)
+        row_answer = call(tracking, step, *row)
+        assert list(Status)[int(row_answer[TRACKED.status])] is answer.status
+        np.testing.assert_array_equal(row_answer[:1] + row_answer[2:5], [answer.command, *answer[2:5]])
+    assert math.isfinite(answer.command)
 
 
 # -- hostile calls ----------------------------------------------------------------------------------------------------
@@ -116,9 +116,9 @@ def test_no_call_leaves_a_command_that_is_no_number(name, rng):
     tracking, step = compiled(MAKERS[name]())
     for row in wild_calls(rng, ROAD, 400, hostile=0.5):
         row[1] = rng.choice([row[1], rng.choice(HOSTILE)])
-        found = call(tracking, step, *row)
-        assert abs(found[TRACKED.command]) <= math.pi / 6
-        assert found[TRACKED.status] in range(10)
+        answer = call(tracking, step, *row)
+        assert abs(answer[TRACKED.command]) <= math.pi / 6
+        assert answer[TRACKED.status] in range(10)
 
 
 @pytest.mark.parametrize("value", HOSTILE)
@@ -126,19 +126,19 @@ def test_no_call_leaves_a_command_that_is_no_number(name, rng):
 def test_what_is_absurd_in_the_first_sample_gives_a_status(field, value):
     tracking, step = compiled(MAKERS["pure pursuit"]())
     sample = [0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]
-    sample = [value if name == field else each for name, each in zip(SAMPLE._fields, sample, strict=False)]
-    found = call(tracking, step, *sample)
-    assert math.isfinite(found[TRACKED.command])
-    assert found[TRACKED.status] in range(10)
+    sample = [value if name == field else number for name, number in zip(SAMPLE._fields, sample, strict=False)]
+    answer = call(tracking, step, *sample)
+    assert math.isfinite(answer[TRACKED.command])
+    assert answer[TRACKED.status] in range(10)
 
 
 def test_a_call_without_a_time_is_left_out():
     tracking, step = compiled(MAKERS["LQR"]())
     first = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 10.0)
     for time in (math.nan, math.inf):
-        found = call(tracking, step, time, time, 50.0, 9.0, 1.0, 3.0)
-        assert found[TRACKED.status] == NO_TIME
-        assert found[:1] + found[2:] == first[:1] + first[2:]
+        answer = call(tracking, step, time, time, 50.0, 9.0, 1.0, 3.0)
+        assert answer[TRACKED.status] == NO_TIME
+        assert answer[:1] + answer[2:] == first[:1] + first[2:]
     assert call(tracking, step, 0.0, math.nan, 0.0, 0.0, 0.0, 10.0)[TRACKED.status] == REPEATED
 
 
@@ -165,12 +165,12 @@ def test_a_hint_says_on_which_lap_the_car_is(near, lap):
     tracker = Tracker(Stanley(CAR, period=0.05), TWICE_AROUND)
     tracker.engage(near=near)
     place = TWICE_AROUND.at(150.0)
-    found = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
-    assert found.station == pytest.approx(150.0 + lap * 400.0 * math.pi, abs=0.01)
+    step = tracker.step(0.0, float(place.x), float(place.y), float(place.heading), 10.0)
+    assert step.station == pytest.approx(150.0 + lap * 400.0 * math.pi, abs=0.01)
     tracker.follow(TWICE_AROUND, near=1300.0 - 1e-3)
     place = TWICE_AROUND.at(150.5)
-    found = tracker.step(0.05, float(place.x), float(place.y), float(place.heading), 10.0)
-    assert found.station == pytest.approx(150.5 + 400.0 * math.pi, abs=0.01)
+    step = tracker.step(0.05, float(place.x), float(place.y), float(place.heading), 10.0)
+    assert step.station == pytest.approx(150.5 + 400.0 * math.pi, abs=0.01)
 
 
 def test_a_car_that_is_not_about_the_hint_is_off_its_path():
@@ -183,13 +183,15 @@ def test_a_car_that_is_not_about_the_hint_is_off_its_path():
 
 
 # -- schedules --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("known", "friction", "wind"), [((0.5, 6.0), 0.5, 6.0), ((math.nan, math.nan), 0.65, 0.0)])
-def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(known, friction, wind):
+@pytest.mark.parametrize(
+    ("conditions", "friction", "wind"), [((0.5, 6.0), 0.5, 6.0), ((math.nan, math.nan), 0.65, 0.0)]
+)
+def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(conditions, friction, wind):
     scheduler = replace(load_scheduler("road-nn"), guard=None)
     tracking, step = compiled(published_mpc(CAR, scheduler=scheduler, period=0.05))
-    found = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *known)
-    wanted = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-found[TRACKED.offset]))
-    assert tracking.step.tuning.tolist() == pytest.approx(list(wanted), rel=1e-12)
+    answer = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *conditions)
+    expected = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-answer[TRACKED.offset]))
+    assert tracking.step.tuning.tolist() == pytest.approx(list(expected), rel=1e-12)
 
 
 # -- the plan of the speed --------------------------------------------------------------------------------------------

@@ -29,10 +29,10 @@ def record(n=8, period=0.1, **changes):
 
 def named(n):
     """What an MPC adds: its tuning and its diagnostics, all zero."""
-    whole, real = np.zeros(n, np.int64), np.zeros(n)
+    integers, real = np.zeros(n, np.int64), np.zeros(n)
     return {
-        "tuning": {"Np": whole, "Nc": whole, "Q": real, "R": real},
-        "diagnostics": {"qp_status": whole, "qp_iterations": whole, "qp_residual": real, "at_limit": whole},
+        "tuning": {"Np": integers, "Nc": integers, "Q": real, "R": real},
+        "diagnostics": {"qp_status": integers, "qp_iterations": integers, "qp_residual": real, "at_limit": integers},
         "units": {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"},
     }
 
@@ -64,8 +64,8 @@ def wild(n=50, seed=1):
 
 def test_the_column_list_names_every_array_of_the_dataclass():
     fields = [field.name for field in dataclasses.fields(Trajectory)]
-    more = ["period", "tuning", "diagnostics", "road", "units", "failed", "failed_at", "meta"]
-    assert fields == [column.name for column in COLUMNS] + more
+    further = ["period", "tuning", "diagnostics", "road", "units", "failed", "failed_at", "meta"]
+    assert fields == [column.name for column in COLUMNS] + further
 
 
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
@@ -92,9 +92,9 @@ def test_any_parquet_reader_finds_units_and_versions(tmp_path):
     assert schema.field("yaw_rate").metadata[b"unit"] == b"rad/s"
     assert schema.field("friction_rear_left").metadata[b"unit"] == b"-"
     assert schema.field("tuning.Q").metadata[b"unit"] == b"1/m^2"
-    about = json.loads(schema.metadata[b"about"])
-    assert about["adaptrack"] == __version__
-    assert about["period"] == 0.1
+    metadata = json.loads(schema.metadata[b"about"])
+    assert metadata["adaptrack"] == __version__
+    assert metadata["period"] == 0.1
 
 
 def test_error_is_positive_to_the_left_of_the_reference():
@@ -212,17 +212,21 @@ def test_another_format_version_is_refused_with_both_versions(tmp_path):
 def test_an_edited_file_is_refused_with_the_reason(tmp_path):
     path = tmp_path / "run.parquet"
     record().save(path)
-    whole = pq.read_table(path)
-    about = whole.schema.metadata[b"about"].decode()
-    holes = whole.set_column(2, "Y", pa.array([None] + [0.0] * 7))
+    stored = pq.read_table(path)
+    metadata = stored.schema.metadata[b"about"].decode()
+    holes = stored.set_column(2, "Y", pa.array([None] + [0.0] * 7))
     for table, entries, complaint in (
-        (whole.drop_columns(["psi"]), {}, "no column 'psi'"),
-        (holes.replace_schema_metadata(whole.schema.metadata), {}, "1 missing values in column 'Y'"),
-        (whole, {"about": "{"}, "damaged, or edited"),
-        (whole, {"about": about.replace('"period": 0.1', '"period": 0.2')}, "the checksum of its content does not fit"),
+        (stored.drop_columns(["psi"]), {}, "no column 'psi'"),
+        (holes.replace_schema_metadata(stored.schema.metadata), {}, "1 missing values in column 'Y'"),
+        (stored, {"about": "{"}, "damaged, or edited"),
         (
-            whole,
-            {"about": about.replace('"meta": {', '"meta": {"seed": 1')},
+            stored,
+            {"about": metadata.replace('"period": 0.1', '"period": 0.2')},
+            "the checksum of its content does not fit",
+        ),
+        (
+            stored,
+            {"about": metadata.replace('"meta": {', '"meta": {"seed": 1')},
             "the checksum of its content does not fit",
         ),
     ):

@@ -82,8 +82,8 @@ console.log(JSON.stringify(found));
 def told(module, folder, name):
     node = find_program("node")
     (folder / name).write_bytes(module)
-    done = subprocess.run([node, "-e", SCRIPT, str(folder / name)], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    process = subprocess.run([node, "-e", SCRIPT, str(folder / name)], capture_output=True, text=True, check=True)
+    return json.loads(process.stdout)
 
 
 def test_a_stack_that_is_too_small_is_a_trap_and_overwrites_nothing(tmp_path):
@@ -112,9 +112,9 @@ def test_the_module_of_the_page_has_what_the_page_calls_and_nothing_else(tmp_pat
     (tmp_path / "page.wasm").write_bytes(module)
     script = "const { Module } = WebAssembly, m = new Module(require('fs').readFileSync(process.argv[1]));"
     script += "console.log(JSON.stringify([Module.imports(m), Module.exports(m).map((e) => e.name)]));"
-    found = subprocess.run([node, "-e", script, str(tmp_path / "page.wasm")], capture_output=True, check=True).stdout
-    imports, exports = json.loads(found)
+    output = subprocess.run([node, "-e", script, str(tmp_path / "page.wasm")], capture_output=True, check=True).stdout
+    imports, exports = json.loads(output)
     assert imports == []
     assert sorted(exports) == sorted(
-        ["memory", "__indirect_function_table", *(f"adaptrack_{each}" for each in (*CALLED, *MEMBERS))]
+        ["memory", "__indirect_function_table", *(f"adaptrack_{name}" for name in (*CALLED, *MEMBERS))]
     )

@@ -83,11 +83,11 @@ def test_without_air_the_derivative_is_that_of_their_own_function(plant):
     car, rng = theirs(), np.random.default_rng(3)
     airless = commonroad_vehicle(2).replace(frontal_area=0.0)
     plant = commonroad_plant(plant.name.removeprefix("commonroad-"), 2, airless)
-    own = of_their_drift_model if "drift" in plant.name else of_their_body_model
+    reference = of_their_drift_model if "drift" in plant.name else of_their_body_model
     around = [car.tire.p_dy1] * 4 + STILL
     for speed in (9.0, 15.0, 30.0):
         x = somewhere(plant, rng, speed)
-        expected = own(x, 0.03, 0.7, car)
+        expected = reference(x, 0.03, 0.7, car)
         np.testing.assert_allclose(plant.derivative(x, [0.03, 0.7 * car.m], around), expected, rtol=1e-10, atol=1e-10)
         expected[3] = 0.7  # prescribed, and told
         np.testing.assert_allclose(plant.derivative(x, [0.03, 0.0, 0.7], around), expected, rtol=1e-10, atol=1e-10)
@@ -125,13 +125,15 @@ def test_friction_bounds_the_force_and_leaves_the_stiffness(drift, friction):
 @pytest.mark.parametrize("number", CARS)
 @pytest.mark.parametrize("speed", [4.0, 12.0, 27.0])
 def test_a_car_starts_rolling_in_equilibrium(plant, number, speed):
-    own = commonroad_plant(plant.name.removeprefix("commonroad-"), number)
-    x = own.initial_state([5.0, 1.0, 0.3, speed, 0.0, 0.0])
-    slope = own.derivative(x, [0.0, 0.0, 0.0], [0.9] * 4 + STILL)
+    plant_of_number = commonroad_plant(plant.name.removeprefix("commonroad-"), number)
+    x = plant_of_number.initial_state([5.0, 1.0, 0.3, speed, 0.0, 0.0])
+    slope = plant_of_number.derivative(x, [0.0, 0.0, 0.0], [0.9] * 4 + STILL)
     radius = commonroad_parameters(number)["R_w"]
-    upright = [i for i, name in enumerate(own.state_names[6:], 6) if not name.startswith(("roll", "vy", "joint"))]
+    upright = [
+        i for i, name in enumerate(plant_of_number.state_names[6:], 6) if not name.startswith(("roll", "vy", "joint"))
+    ]
     assert np.abs(slope[upright]).max() < 1e-6
-    rolling = [i for i, name in enumerate(own.state_names) if name.startswith("wheel")]
+    rolling = [i for i, name in enumerate(plant_of_number.state_names) if name.startswith("wheel")]
     assert x[rolling] * radius == pytest.approx(speed, rel=2e-3)
 
 
@@ -186,8 +188,8 @@ def test_the_default_controller_drives_it_from_its_data_sheet(plant, profile):
     runs = at.rollout_batch(plant, mpc, drives, profile=profile, seeds=np.arange(4))
     assert not any(runs.failed)
     assert runs.mse.max() < 0.01  # m^2
-    one = at.simulate(plant, mpc, drives[0], profile=profile, seed=0)
-    assert np.mean(one.error**2) == pytest.approx(runs.mse[0], rel=1e-12)
+    run = at.simulate(plant, mpc, drives[0], profile=profile, seed=0)
+    assert np.mean(run.error**2) == pytest.approx(runs.mse[0], rel=1e-12)
 
 
 # -- parameters -------------------------------------------------------------------------------------------------------
@@ -206,7 +208,7 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"m": None}, "m is missing"),
         ({"I_z": "heavy"}, "I_z = 'heavy' is no number"),
@@ -214,11 +216,11 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
         ({"steering": {}}, r"steering\.min is missing, steering\.max is missing"),
     ],
 )
-def test_what_is_wrong_with_parameters_is_named(change, said):
-    good = commonroad_parameters(2)
-    given = good | {k: (good[k] | v if v and isinstance(v, dict) else v) for k, v in change.items()}
-    with pytest.raises(ConfigError, match=said):
-        commonroad_parameters(given)
+def test_what_is_wrong_with_parameters_is_named(change, message):
+    parameters = commonroad_parameters(2)
+    changed = parameters | {k: (parameters[k] | v if v and isinstance(v, dict) else v) for k, v in change.items()}
+    with pytest.raises(ConfigError, match=message):
+        commonroad_parameters(changed)
 
 
 @pytest.mark.parametrize("number", [0, 4, 7, True])

@@ -34,11 +34,11 @@ step_of, moved = entry(kernel.step_of), entry(kernel.moved)
 
 def driven(controller: MPPI, state: kernel.State, commands: list[float], speed: float) -> list[kernel.State]:
     """The model's states after each period under its commands (rad)."""
-    p, found = kernel.Parameters(*controller.parameters()), [state]
+    p, states = kernel.Parameters(*controller.parameters()), [state]
     step = step_of(controller.period, speed, p)
     for command in commands:
-        found.append(kernel.State(*moved(found[-1], command, step, p, True)))
-    return found[1:]
+        states.append(kernel.State(*moved(states[-1], command, step, p, True)))
+    return states[1:]
 
 
 # -- the model --------------------------------------------------------------------------------------------------------
@@ -71,8 +71,8 @@ def test_the_wheels_follow_as_a_first_order_lag_within_its_rate():
     straight = kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     near = [s.wheels for s in driven(slow, straight, [0.05] * 10, 10.0)]
     np.testing.assert_allclose(near, 0.05 * (1.0 - np.exp(-0.05 * np.arange(1, 11) / 0.2)), rtol=1e-12)
-    far = [s.wheels for s in driven(slow, straight, [0.5] * 4, 10.0)]
-    np.testing.assert_allclose(far, 0.5 * 0.05 * np.arange(1, 5), rtol=1e-12)
+    wheels = [s.wheels for s in driven(slow, straight, [0.5] * 4, 10.0)]
+    np.testing.assert_allclose(wheels, 0.5 * 0.05 * np.arange(1, 5), rtol=1e-12)
 
 
 def test_at_walking_pace_the_model_stays_stable():
@@ -85,9 +85,11 @@ def test_at_walking_pace_the_model_stays_stable():
 def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     """Where the cost is S = c + g'e + e'He/2 and e ~ N(0, s^2 I), exp(-S/lambda) has the mean -(I/s^2 + H/l)^-1 g/l."""
     speed, state, spread, temperature = 12.0, [0.0, 0.0, 0.0, 0.02], 0.05, 1e-5
-    how = {"q_course": 1.0, "r": 0.01, "horizon": 0.3, "period": 0.1, "limits": WIDE}
-    controller = MPPI(CAR, profile="paper", temperature=temperature, spread=spread, samples=16_384, preview=True, **how)
-    found = controller.step(state, speed, np.zeros(10))
+    options = {"q_course": 1.0, "r": 0.01, "horizon": 0.3, "period": 0.1, "limits": WIDE}
+    controller = MPPI(
+        CAR, profile="paper", temperature=temperature, spread=spread, samples=16_384, preview=True, **options
+    )
+    step = controller.step(state, speed, np.zeros(10))
 
     def cost(moves):
         before, total = kernel.State(0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 0.0
@@ -103,9 +105,9 @@ def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     s = spread * 0.1
     mean = -np.linalg.solve(np.eye(3) / s**2 + H / temperature, g / temperature)
     covariance = np.linalg.inv(np.eye(3) / s**2 + H / temperature)
-    noise = math.sqrt(covariance[0, 0] / found.diagnostics["effective"])
+    noise = math.sqrt(covariance[0, 0] / step.diagnostics["effective"])
     assert abs(mean[0]) > 20.0 * noise  # a claim that can fail
-    assert found.angle == pytest.approx(mean[0], abs=5.0 * noise)
+    assert step.angle == pytest.approx(mean[0], abs=5.0 * noise)
 
 
 def test_commands_on_their_way_are_driven_through_by_the_model():
@@ -114,10 +116,10 @@ def test_commands_on_their_way_are_driven_through_by_the_model():
     prompt = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.0), preview=True, **SMALL)
     speed, (vy, yaw, rate, y) = 15.0, (0.05, 0.02, 0.03, 0.4)
     after = driven(prompt, kernel.State(0.0, y, yaw, vy, rate, 0.0), [0.0, 0.0], speed)[-1]
-    now = late.step([vy, yaw, rate, y], speed, np.zeros(40)).angle
+    angle = late.step([vy, yaw, rate, y], speed, np.zeros(40)).angle
     then = prompt.step([after.vy, after.yaw, after.r, after.y], speed, np.zeros(40)).angle
-    assert now == pytest.approx(then, rel=1e-9)
-    assert now != 0.0
+    assert angle == pytest.approx(then, rel=1e-9)
+    assert angle != 0.0
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------
@@ -148,9 +150,9 @@ def test_it_follows_a_hairpin(profile):
 def test_a_situation_that_is_not_finite_leaves_the_plan_as_it_is():
     controller = MPPI(CAR, profile="paper", preview=True, **SMALL)
     controller.step([0.0, 0.0, 0.0, 0.5], 10.0, np.zeros(40))
-    held = controller.step([0.0, math.nan, 0.0, 0.5], 10.0, np.zeros(40))
-    assert held.held
-    assert held.move == 0.0
+    step = controller.step([0.0, math.nan, 0.0, 0.5], 10.0, np.zeros(40))
+    assert step.held
+    assert step.move == 0.0
     assert np.isfinite(controller._memory).all()
 
 
@@ -163,9 +165,9 @@ def test_nonsense_is_refused_by_name(option, value):
 
 
 def test_it_believes_the_steering_of_the_profile():
-    told = MPPI(CAR, profile="production", **SMALL)
-    assert told.car.belief.delay == pytest.approx(0.1)
-    assert told.car.belief.lag.value == 0.2
+    mppi = MPPI(CAR, profile="production", **SMALL)
+    assert mppi.car.belief.delay == pytest.approx(0.1)
+    assert mppi.car.belief.lag.value == 0.2
     assert SteeringActuator.ideal().lag == MPPI(CAR, profile="paper", **SMALL).car.belief.lag.value
 
 

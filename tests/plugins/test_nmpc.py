@@ -62,9 +62,9 @@ def test_for_small_errors_its_first_move_is_that_of_the_linear_mpc(lag):
             horizon=n * period, R=R, iterations=20, preview=True, limits=Limits(move=(-1.0, 1.0), angle=(-1.5, 1.5)),
         )  # fmt: skip
         vy, yaw, rate, y = scale * np.array([0.3, 0.1, 0.2, 0.8])
-        own = np.array([vy, yaw, rate, *([0.0] if lag else []), y])
-        found = controller.step([vy, yaw, rate, y], speed, np.zeros(40))
-        gaps.append(abs(found.angle / moves(own)[0] - 1.0))
+        state = np.array([vy, yaw, rate, *([0.0] if lag else []), y])
+        answer = controller.step([vy, yaw, rate, y], speed, np.zeros(40))
+        gaps.append(abs(answer.angle / moves(state)[0] - 1.0))
     assert gaps[0] < 2e-4
     assert gaps[1] > 0.01
 
@@ -72,27 +72,27 @@ def test_for_small_errors_its_first_move_is_that_of_the_linear_mpc(lag):
 @needs_casadi
 def test_the_solution_meets_its_limits_and_converges():
     controller = made("nmpc-as-measured", profile="road", iterations=30)
-    found = controller.step([0.0, 0.0, 0.0, -2.0], 15.0, np.zeros(80))
-    assert found.angle == pytest.approx(controller.limits.move[1], abs=1e-9)
-    assert found.diagnostics["change"] < 1e-7
-    assert found.diagnostics["iterations"] < 30
+    step = controller.step([0.0, 0.0, 0.0, -2.0], 15.0, np.zeros(80))
+    assert step.angle == pytest.approx(controller.limits.move[1], abs=1e-9)
+    assert step.diagnostics["change"] < 1e-7
+    assert step.diagnostics["iterations"] < 30
 
 
 @needs_casadi
 def test_commands_on_their_way_are_driven_through_by_the_model():
     """Three periods late is where a car without dead time is three periods on."""
-    how = {"profile": "paper", "preview": True, "period": 0.05, "iterations": 20}
+    options = {"profile": "paper", "preview": True, "period": 0.05, "iterations": 20}
     late, prompt = (
-        made("nmpc-as-measured", belief=Steering(lag=0.1, dead_time=time), **how) for time in (0.15, 0.0)
+        made("nmpc-as-measured", belief=Steering(lag=0.1, dead_time=time), **options) for time in (0.15, 0.0)
     )  # fmt: skip
     x = np.array([0.05, 0.03, 0.02, 0.4, 0.0])  # v_y, r, psi, e, delta
     after = x
     for _ in range(3):
         after = prompt._drive(after, 0.0, np.array([15.0, 0.0, 0.0, 0.0]), 0.05)
-    now = late.step([x[0], x[2], x[1], x[3]], 15.0, np.zeros(80)).angle
+    angle = late.step([x[0], x[2], x[1], x[3]], 15.0, np.zeros(80)).angle
     then = prompt.step([after[0], after[2], after[1], after[3]], 15.0, np.zeros(80)).angle
-    assert now == pytest.approx(then, rel=1e-5)
-    assert now != 0.0
+    assert angle == pytest.approx(then, rel=1e-5)
+    assert angle != 0.0
 
 
 @needs_casadi
