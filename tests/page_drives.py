@@ -27,13 +27,7 @@ def _wave(count, step, height):
     return np.round(np.stack([s, height * np.sin(s / 45.0)], axis=-1), 3).tolist()
 
 
-def _circuit(count, a, b):
-    angle = np.arange(count) * (2.0 * np.pi / count)
-    return np.round(np.stack([a * np.cos(angle), b * np.sin(angle)], axis=-1), 3).tolist()
-
-
 WAVE = {"points": _wave(60, 12.0, 9.0), "closed": False, "name": "drawn"}
-CIRCUIT = {"points": _circuit(40, 160.0, 90.0), "closed": True, "name": "loop"}
 PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SHEET}
 
 

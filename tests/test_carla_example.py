@@ -115,11 +115,6 @@ def test_what_is_to_the_right_in_carla_is_negative_here():
     assert sample == pytest.approx((2.0, 5.0, -7.0, -math.pi / 2, 8.0, -math.radians(10.0), -0.5))
 
 
-def test_the_centre_of_mass_lies_behind_an_origin_that_lies_ahead_of_it():
-    sample = conversion.sample_of(0.0, vehicle(transform(5.0, 7.0, 90.0), vector()), 0.4)
-    assert sample[1:3] == pytest.approx((5.0, -6.6))
-
-
 @pytest.mark.parametrize(("angle", "steer"), [(0.5 * FULL, -0.5), (-0.1 * FULL, 0.1), (2.0, -1.0)])
 def test_a_wheel_to_the_left_is_a_negative_steer(angle, steer):
     assert conversion.steer_of(angle, FULL) == pytest.approx(steer)
@@ -139,19 +134,6 @@ def test_a_lane_that_bends_to_the_right_has_a_negative_curvature():
     road = conversion.lane_ahead(World().get_map(), None)
     assert road.length == pytest.approx(300.0, rel=1e-3)
     assert float(road.at(170.0).curvature) == pytest.approx(-1 / 80, rel=1e-3)
-
-
-def test_a_woven_path_stays_within_its_swing():
-    road = conversion.lane_ahead(World().get_map(), None)
-    path = conversion.woven(road, 0.3)
-    aside = [float(road.project(x, y, near=s).offset) for s in range(5, 290, 3) for x, y in [_at(path, s)]]
-    assert 0.25 < max(aside) < 0.31
-    assert -0.31 < min(aside) < -0.25
-
-
-def _at(road, s):
-    place = road.at(float(s))
-    return float(place.x), float(place.y)
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------

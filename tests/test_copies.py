@@ -111,22 +111,17 @@ def test_a_tracker_copied_under_way_goes_on_to_the_same_bits(make_copy, controll
     assert other._check.suspect
 
 
-@every_copy
-@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
-@pytest.mark.parametrize("kind", ["PathTrackingEnv", "MPCTuningEnv"])
-def test_an_environment_copied_under_way_goes_on_to_the_same_bits(make_copy, plant, kind):
-    env = environment(kind, car=plant())
-    other = make_copy(env)
-    assert act(other) == act(env)
+MANY = [{"num_envs": 34, "threads": 2}, {"num_envs": 2, "random_cars": True}]
+ENVIRONMENTS = [("Env", {"car": plant()}) for plant in PLANTS.values()] + [("VectorEnv", options) for options in MANY]
 
 
 @every_copy
-@pytest.mark.parametrize("options", [{"num_envs": 34, "threads": 2}, {"num_envs": 2, "random_cars": True}], ids=str)
-@pytest.mark.parametrize("kind", ["PathTrackingVectorEnv", "MPCTuningVectorEnv"])
-def test_an_environment_of_many_cars_copied_under_way_goes_on_to_the_same_bits(make_copy, kind, options):
-    env = environment(kind, **options)
+@pytest.mark.parametrize(("form", "options"), ENVIRONMENTS, ids=str)
+@pytest.mark.parametrize("kind", ["PathTracking", "MPCTuning"])
+def test_an_environment_copied_under_way_goes_on_to_the_same_bits(make_copy, kind, form, options):
+    env = environment(kind + form, **options)
     other = make_copy(env)
-    assert act(other, 30) == act(env, 30)  # beyond the end of episodes
+    assert act(other, 30) == act(env, 30)  # beyond the end of episodes of many cars
 
 
 def test_pickles_loaded_in_a_new_process_go_on_to_the_same_bits(tmp_path):

@@ -1,6 +1,5 @@
 """The equations of motion: order, limits and symmetries that hold whatever the numbers are, and a second opinion."""
 
-import itertools
 import math
 
 import numpy as np
@@ -131,36 +130,6 @@ def test_a_banked_road_pushes_the_car_aside_and_an_accelerometer_does_not_feel_i
     assert felt[0] == pytest.approx(felt[1], abs=1e-12)
 
 
-# -- the integrator ---------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "plant",
-    [
-        SingleTrack(PAPER),
-        SingleTrack(SEDAN, CURVED),
-        SingleTrack(PAPER, IDEAL),
-        DualTrack(PAPER, "passenger-car"),
-        DualTrack(SEDAN),
-        DualTrack(PAPER, load_tyre("constant-stiffness").replace(relaxation_length=0.5)),
-    ],
-    ids=label,
-)
-@pytest.mark.parametrize("is_driven", [False, True], ids=["prescribed", "driven"])
-def test_rk4_has_order_four(plant, is_driven):
-    plant = plant.with_steering(SteeringActuator(lag=0.3))
-    x = moving(12.0, x4=0.4, x5=0.2)
-    u = inputs(
-        command=0.05,
-        force=900.0,
-        acceleration=np.nan if is_driven else 0.7,
-        friction=(0.8, 0.7, 0.75, 0.9),
-        wind=(3, 2),
-    )
-    coarse, middle, fine, finest = (ride(plant, x, u, 0.4, h=0.4 / steps) for steps in (50, 100, 200, 400))
-    errors = [np.linalg.norm(a - b) for a, b in ((coarse, middle), (middle, fine), (fine, finest))]
-    slopes = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
-    assert slopes == pytest.approx([4.0, 4.0], abs=0.25)
-
-
 # -- what remains of a vehicle without tyres --------------------------------------------------------------------------
 @every_plant
 def test_without_any_force_momentum_is_kept(plant):
@@ -242,28 +211,6 @@ def test_braking_shifts_load_to_the_front_and_turning_left_to_the_right(car):
     assert roll == pytest.approx(car.mass * 4.0 * car.cg_height, rel=1e-12)
 
 
-@pytest.mark.parametrize("ax", [-9.0, 0.0, 5.0])
-@pytest.mark.parametrize("ay", [-7.0, 3.0])
-def test_the_wheels_carry_the_weight_however_it_shifts(ax, ay):
-    assert sum(felt_load(PAPER, wheel, ax, ay) for wheel in range(4)) == pytest.approx(PAPER.mass * GRAVITY, rel=1e-12)
-
-
-def test_a_braking_car_presses_on_its_front_wheels_after_a_tenth_of_a_second():
-    plant = DualTrack(PAPER)
-    braking = inputs(force=-6000.0, acceleration=np.nan)
-    decelerations = [ride(plant, moving(25.0), braking, time, h=0.005)[10] for time in (0.1, 0.5)]
-    expected = (
-        -(
-            6000.0
-            + reference.rolling(PAPER, 25.0)
-            - reference.air_load(PAPER, 0.0, np.array([25.0, 0.0]), np.zeros(2))[0][0]
-        )
-        / PAPER.mass
-    )
-    assert decelerations[0] == pytest.approx(expected * (1 - math.exp(-1.0)), rel=0.01)
-    assert decelerations[1] == pytest.approx(expected * (1 - math.exp(-5.0)), rel=0.02)
-
-
 # -- friction ---------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("friction", [0.3, 0.9])
 @pytest.mark.parametrize(
@@ -311,13 +258,6 @@ def test_a_side_wind_pushes_downwind_by_the_published_figures():
     side, moment = air(20.0, (0.0, 30.0))
     assert side == pytest.approx(1500.0, rel=0.02)
     assert moment == pytest.approx(1400.0, rel=0.02)
-
-
-@pytest.mark.parametrize("wind", [1.0, 5.0, 12.0, 30.0])
-def test_the_side_wind_is_symmetric(wind):
-    left, right = air(20.0, (0.0, wind)), air(20.0, (0.0, -wind))
-    assert min(left) > 0.0
-    assert right == pytest.approx([-left[0], -left[1]], rel=1e-14)
 
 
 def test_beyond_its_limit_the_wind_angle_counts_no_more():

@@ -281,22 +281,6 @@ def test_the_mirrored_drive_gives_the_mirrored_estimate():
         command = trajectory.command[k]
 
 
-def test_the_covariance_stays_symmetric_and_positive_definite():
-    profile = SILENT_ROAD
-    estimator = FrictionWindEstimator.of(DualTrack(CAR), profile)
-
-    class Watched(Scripted):
-        def step(self, *arguments, **options):
-            p = estimator._memory[0].covariance[:, : kernel.N]
-            assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
-            scale = 1.0 / np.sqrt(np.diag(p))
-            assert np.linalg.eigvalsh(p * np.outer(scale, scale)).min() > 1e-9
-            return super().step(*arguments, **options)
-
-    drive(road(25.0, 0.4, 20.0, 12.0), Watched(weave(0.5, 0.7)), profile, estimator=estimator)  # spins
-    drive(road(0.0, 0.9, 20.0, 3.0), Watched(weave(0.5)), profile, estimator=estimator)  # stands still
-
-
 def test_a_measurement_that_is_no_number_leaves_the_estimate():
     estimator = FrictionWindEstimator.of(DualTrack(CAR))
     for _ in range(20):

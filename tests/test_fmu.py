@@ -390,20 +390,8 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
 
 
 def test_the_command_writes_both(folder, monkeypatch, capsys):
-    arguments = [
-        "export",
-        "fmu",
-        "--road",
-        "country",
-        "--road-seed",
-        "3",
-        "--fmi",
-        "2.0",
-        "--out",
-        str(folder),
-        "--json",
-    ]
-    monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
+    options = ["--road", "country", "--road-seed", "3", "--fmi", "2.0", "--json", "--out", str(folder)]
+    monkeypatch.setattr(sys, "argv", ["adaptrack", "export", "fmu", *options])
     assert cli.main() == 0
     report = json.loads(capsys.readouterr().out)
     assert report["fmi"] == "2.0"

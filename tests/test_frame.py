@@ -79,19 +79,6 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
     assert numbers[-1, FRAME.guard] == stepped_in
 
 
-def test_the_frames_are_those_of_simulate():
-    scenario = at.load_scenario("double-lane-change")
-    run = at.simulate(at.DualTrack(CAR), at.MPC(CAR, profile="road"), scenario, profile="road", seed=3)
-    numbers, _, _ = shown(*run_of(at.MPC(CAR, profile="road"), scenario), pieces_of(run.t.size))
-    for column, expected in (
-        ("time", run.t), ("x", run.X), ("y", run.Y), ("vy", run.vy), ("wheel_angle", run.steering),
-        ("command", run.command), ("lateral_acceleration", run.lateral_acceleration), ("y_ref", run.y_ref),
-        ("v_ref", run.v_ref), ("friction", run.friction.mean(axis=1)),
-    ):  # fmt: skip
-        assert np.array_equal(numbers[:, getattr(FRAME, column)], expected), column
-    assert np.allclose(numbers[:, FRAME.error], run.Y - run.y_ref, rtol=0.0, atol=1e-15)
-
-
 def test_a_run_that_fails_ends_and_says_why():
     run, span = run_of(at.MPC(CAR, profile="road"), at.load_scenario("double-lane-change"), profile="paper")
     shown(run, span, [20])

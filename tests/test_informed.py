@@ -268,28 +268,6 @@ def test_samples_of_a_known_age_tell_what_they_told_when_they_were_taken(rng):
             np.testing.assert_allclose(estimates[k + late, : model.n], z[: model.n], rtol=0, atol=1e-9)
 
 
-def test_a_position_that_stays_the_same_is_blindness_only_where_the_car_is_elsewhere():
-    model, speed, kalman = PathModel(CAR, PERIOD), 15.0, KalmanFilter(patience=0.5)
-    still = np.tile([0.0, 0.0, 0.0, 0.0], (100, 1))
-    assert np.isfinite(run_kernel(kalman, model, np.full(100, speed), still, np.zeros(100))).all()
-    turning = run_kernel(kalman, model, np.full(100, speed), still, np.full(100, 0.03))
-    assert not np.isfinite(turning[-1, : model.n]).any()
-
-
-def test_a_pose_that_stays_the_same_against_a_path_that_turns_is_new():
-    """As of a car that is driven exactly along a circle, 5 cm beside it."""
-    model, kalman, at = PathModel(CAR, PERIOD, 0.15), KalmanFilter(), (np.full(60, 15.0), np.zeros(60))
-    samples = np.tile([0.0, 0.001, 0.2, 0.05, math.nan, math.nan, 0.0, 0.0, 15.0 * PERIOD / 75.0], (60, 1))
-    trembling = samples.copy()
-    trembling[1::2, [1, 3]] += 1e-12
-    np.testing.assert_allclose(
-        run_kernel(kalman, model, at[0], samples, at[1]),
-        run_kernel(kalman, model, at[0], trembling, at[1]),
-        rtol=0,
-        atol=1e-9,
-    )
-
-
 def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_then_holds(rng):
     kalman = dataclasses.replace(KalmanFilter.of_profile(load_profile("road")), patience=0.5)
     mpc, steps = MPC(CAR, profile="road", estimator=kalman), []
@@ -426,15 +404,6 @@ def test_by_default_the_mpc_models_the_steering_of_its_car_file_and_filters():
     tuned = MPC(KNOWN, Tuning(20, 4, 1.0, 7.0))
     assert tuned.tuning == Tuning(20, 4, 1.0, 7.0)
     assert (tuned.model, tuned.estimator) == (mpc.model, mpc.estimator)
-
-
-def test_a_controller_told_of_another_steering_believes_it():
-    mpc = MPC(KNOWN, profile="road", belief=Steering(lag=0.3, rate=0.4))
-    assert (mpc.model.lag, mpc.model.dead_time) == (0.3, pytest.approx(0.07 + 0.05))
-    assert mpc.limits.move == pytest.approx((-0.02, 0.02))
-    partly = MPC(CAR.replace(steering=Steering(rate=0.4)), profile="road").belief
-    assert (partly.lag.value, partly.lag.source) == (load_profile("road").steering.lag, "profile road")
-    assert (partly.rate.value, partly.rate.source) == (0.4, "car file paper")
 
 
 def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and_said():

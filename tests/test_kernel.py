@@ -10,13 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import published_mpc
 from adaptrack.core import library
 from adaptrack.core.kernel import (
     INTERPRETED,
-    Array,
-    Resident,
     Row,
     Setting,
     copier,
@@ -25,11 +21,8 @@ from adaptrack.core.kernel import (
     float64,
     inlined,
     local,
-    packer,
     record,
     size_of,
-    stepper,
-    unpacker,
     vector,
     viewer,
     void,
@@ -43,34 +36,6 @@ INNER = record("INNER", ("x", "y"))
 OUTER = record("OUTER", ["a", ("inner", INNER), ("row", (float64, 3)), ("square", (float64, 2, 2)), "b"])
 outer_at, square = viewer(OUTER), local(2, 2)
 needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
-
-
-def leaves(record):
-    """(type, value) of every field of a nested record."""
-    for kind, value in zip(record.kinds.values(), record, strict=True):
-        yield from leaves(value) if isinstance(value, tuple) else [(kind, value)]
-
-
-@needs_compiled
-def test_the_words_of_a_record_are_where_its_arrays_lie_and_their_sizes():
-    mpc = published_mpc(load_vehicle("paper"))
-    record = mpc.batch(3, mpc.settings())
-    words = []
-    for kind, value in leaves(record):
-        if isinstance(kind, Array):
-            words += [value.ctypes.data, *value.shape]
-        else:
-            words.append(int(np.array(value, kind.name).view(np.int64)))
-    assert Resident(record).words.tolist() == words
-
-
-@needs_compiled
-def test_a_record_is_written_where_it_is_read():
-    pair = record("Pair", ("a", "b"))
-    read, write, along = unpacker(pair, 4), packer(pair, 4), stepper(pair)
-    values = np.arange(8.0)
-    write(values, 1, along(read(values, 1), 2.0, pair(10.0, 100.0)))
-    assert values.tolist() == [0.0, 21.0, 2.0, 3.0, 4.0, 205.0, 6.0, 7.0]
 
 
 def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
@@ -211,12 +176,6 @@ def test_a_library_that_is_not_what_was_built_is_never_loaded(built, harm):
     assert path.name in why
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"libraries": 3}', '{"libraries": {}}'])
-def test_a_manifest_that_is_none_is_said(built, text):
-    (built / library.MANIFEST).write_text(text)
-    assert library.MANIFEST in library.loaded.__wrapped__()
-
-
 @pytest.mark.parametrize(
     ("file", "stale", "is_current"),
     [
@@ -288,18 +247,8 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
 
     low, high = 0.1, 0.7
     (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))
-    options = [
-        "-std=c11",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "main.c",
-        str(of_this_processor(built)),
-        "-lm",
-        "-o",
-        "program",
-    ]
-    subprocess.run(["gcc", *options], cwd=tmp_path, check=True)
+    command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-o", "program", "main.c"]
+    subprocess.run([*command, str(of_this_processor(built)), "-lm"], cwd=tmp_path, check=True)
     process = subprocess.run(
         ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
     )

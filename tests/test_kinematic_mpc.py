@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import adaptrack as at
-from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers.kinematic_mpc import WEIGHTS, KinematicMPC, kinematic_model
 from adaptrack.core.controllers import kinematic_mpc as kernel
@@ -212,21 +211,3 @@ def test_a_gap_of_the_pose_holds_the_command_and_keeps_the_wheel_angle_going():
     assert blind.step(pose, 10.0, np.zeros(1)).angle == pytest.approx(
         sighted.step(pose, 10.0, np.zeros(1)).angle, abs=1e-9
     )
-
-
-# -- what makes no controller ------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"lateral": 1.0}, "lateral: no weight of it; known are lateral_error"),
-        ({"steering": 0.0, "steering_v2": 0.0}, "one of them must be positive"),
-        ({"stages": 0}, "stages"),
-        ({"stages": 101}, "must be from 1 to 100"),
-        ({"step": 0.0}, r"step = 0.0 s: must be positive"),
-        ({"period": math.nan}, "period"),
-        ({"belief": 0.2}, "belief"),
-    ],
-)
-def test_what_makes_no_controller_is_refused(options, message):
-    with pytest.raises(InvalidInput, match=message):
-        made(**options)

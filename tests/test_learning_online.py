@@ -64,11 +64,6 @@ def belief(mpc, name):
 
 
 # -- the mathematics --------------------------------------------------------------------------------------------------
-def test_phi_1_times_its_matrix_is_the_exponential_less_one():
-    for norm in (1e-3, 1.0, 20.0):
-        z = norm * np.array([[-1.0, 0.7], [-0.4, -0.3]])
-        phi = np.array(entry(kernel._phi1)(*z.ravel())).reshape(2, 2)
-        np.testing.assert_allclose(phi @ z, expm(z) - np.eye(2), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("command", [0.02, 0.2])
@@ -268,16 +263,6 @@ def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     np.testing.assert_array_equal(mpc._mpc.informed.learned[0], mpc.learner.fresh())
     driven(mpc)
     assert np.isfinite(learned_of(mpc)).all()
-
-
-@pytest.mark.filterwarnings("ignore:invalid value")  # of an infinite speed, without the compiler
-@pytest.mark.parametrize("speed", [math.nan, -math.inf])
-def test_a_speed_that_is_no_number_does_not_spoil_what_is_learned(speed):
-    mpc = learner()
-    driven(mpc)
-    mpc.step([0.0, 0.0, 0.0, 0.0], speed, np.zeros(40))
-    driven(mpc, 5)
-    assert all(math.isfinite(belief(mpc, name)) for name in kernel.BELIEFS)
 
 
 LEARNED_VAN = LearnedCar(car="van", lag=0.2, lag_sigma=0.01, dead_time=0.1, dead_time_sigma=0.01, delay_sigma=0.01,

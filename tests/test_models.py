@@ -85,15 +85,6 @@ def test_zero_order_hold_equals_the_matrix_exponential():
         close(b[:, 0], expected_b, 1e-12)
 
 
-@every_car
-def test_holding_twice_for_half_the_period_is_holding_once(car):
-    for speed in SPEEDS:
-        half_a, half_b, _ = SingleTrackModel(car, 0.05).discrete(speed)
-        a, b, _ = SingleTrackModel(car, 0.1).discrete(speed)
-        close(half_a @ half_a, a, 1e-13)
-        close(half_a @ half_b + half_b, b, 1e-13)
-
-
 # -- eqs. (9), (10): augmentation, F and Phi --------------------------------------------------------------------------
 def test_F_and_Phi_equal_the_simulated_model(rng):
     for (car, speed), (Np, Nc) in itertools.product(GRID, [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)]):
@@ -166,16 +157,6 @@ def laguerre(samples, terms, pole):
 @pytest.mark.parametrize("pole", [0.0, 0.3, 0.75, 0.95])
 def test_laguerre_functions_are_those_of_their_z_transforms(pole):
     close(laguerre(60, 10, pole), reference.laguerre(60, 10, pole), 1e-12)
-
-
-@pytest.mark.parametrize(("pole", "samples"), [(0.0, 10), (0.3, 100), (0.75, 300), (0.95, 2000)])
-def test_laguerre_functions_are_orthonormal(pole, samples):
-    functions = laguerre(samples, 10, pole)
-    close(functions.T @ functions, np.eye(10), 1e-12)
-
-
-def test_laguerre_functions_with_pole_zero_are_the_pulses():
-    assert np.array_equal(laguerre(30, 8, 0.0), np.eye(30)[:, :8])
 
 
 @every_car

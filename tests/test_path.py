@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from adaptrack.core import path
 from adaptrack.core import road as kernel
-from adaptrack.road import Clothoid, Road, road_through
+from adaptrack.road import road_through
 from adaptrack.road.ahead import pack_roads
 from adaptrack.road.table import of_pieces
 
@@ -60,32 +60,6 @@ def test_a_path_is_the_cubic_spline_of_scipy_at_its_arc_length(points, closed):
     assert positions.curvature == pytest.approx((dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3, rel=1e-8, abs=1e-9)
 
 
-@pytest.mark.parametrize(("points", "closed"), [(BENDS, False), (OVAL, True)])
-def test_a_path_goes_through_its_points_with_continuous_curvature(points, closed):
-    road = road_through(points, closed=closed)
-    foot = road.project(*points.T)
-    assert np.abs(foot.offset).max() < 1e-11
-    first, last = road.table.ends()
-    after = np.roll(np.arange(len(first.x)), -1)[: None if closed else -1]
-    before = np.arange(len(after))
-    assert np.hypot(first.x[after] - last.x[before], first.y[after] - last.y[before]).max() < 5e-11
-    turn = first.heading[after] - last.heading[before] + np.where(after == 0, road.turn, 0.0)
-    assert np.abs(turn).max() < 1e-11
-    assert np.abs(first.curvature[after] - last.curvature[before]).max() < 1e-9
-
-
-def test_a_path_nears_a_clothoid_with_the_fourth_power_of_the_distance_of_its_points():
-    true = Road.from_segments([Clothoid(length=80.0, start_curvature=-0.02, end_curvature=0.05)])
-    s = np.linspace(0.0, 80.0, 333)
-    errors = []
-    for count in (17, 33, 65):
-        points = true.at(np.linspace(0.0, 80.0, count))
-        path = road_through(np.stack([points.x, points.y], axis=-1))
-        errors.append(np.abs(path.project(*true.at(s)[:2]).offset).max())
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (orders > 3.5).all()
-
-
 def test_a_memory_holds_what_controllers_read_of_a_road():
     """Numbers, pieces and headings as `pack_roads` has them, to the bit."""
     for points, closed in ((BENDS, False), (OVAL, True)):
@@ -103,12 +77,6 @@ def test_a_path_far_from_the_origin_is_the_same_path():
     near, there = line_of(BENDS), line_of(BENDS + 2.0**20)
     assert np.abs(there.start - near.start).max() < 1e-6
     assert np.abs(there.pieces[:, path.ALONG :] - near.pieces[:, path.ALONG :]).max() < 1e-6
-
-
-def test_a_path_from_a_planner_has_a_piece_for_every_step_and_sharp_bends_have_more():
-    assert len(line_of(BENDS).pieces) == len(BENDS) - 1
-    corner = [(k, 0.0) for k in range(6)] + [(5.0, k) for k in range(1, 6)]
-    assert len(line_of(corner).pieces) > len(corner)
 
 
 # -- points that count as one -----------------------------------------------------------------------------------------

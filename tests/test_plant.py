@@ -170,11 +170,8 @@ def set_entry(place, value):
     return slope
 
 
-def write_to(name):
-    def slope(slope, *arguments):
-        arguments[name][1] += 1e-9
-        return slope
-
+def write_to_each_argument(slope, x, u, environment, calls):
+    (x, u, environment)[calls % 3][1] += 1e-9
     return slope
 
 
@@ -186,7 +183,7 @@ BROKEN = {
     "its states must begin with": Altered(state_names=("Y", "X", *MOTION[2:])),
     r"packed\(\) must give one row of finite parameters": Altered(packed=lambda: np.full(34, np.nan)),
     "every derivative must be written and finite.*yaw_rate": Altered(set_entry(5, lambda slope, x, u: math.nan)),
-    "x, u, environment and p must not be written to": Altered(write_to(0)),
+    "x, u, environment and p must not be written to": Altered(write_to_each_argument),
     "the same arguments must give the same derivative": Altered(drifting),
     r"position and yaw must obey kinematics, eq\. \(5\)": Altered(set_entry(1, lambda slope, x, u: -slope[1])),
     "at zero steering the vehicle must go straight": Altered(set_entry(4, lambda slope, x, u: slope[4] + 0.01)),
@@ -224,33 +221,15 @@ def test_the_checker_refuses_a_plant_that_only_a_force_can_move():
         check_plant(Altered(slope), speeds=(10.0,))
 
 
-@pytest.mark.parametrize("name", [1, 2], ids=["u", "environment"])
-def test_the_checker_refuses_a_plant_that_writes_to_its_inputs(name):
+def test_the_checker_refuses_a_users_plant_that_writes_to_its_parameters():
+    linear_car_compiled = user_plant().compiled.right_hand_side
+
+    def writes_to_parameters(x, u, environment, p, dx):
+        linear_car_compiled(x, u, environment, p, dx)
+        p[0] *= 1.001
+
     with pytest.raises(ContractError, match="must not be written to"):
-        check_plant(Altered(write_to(name)), speeds=(10.0,))
-
-
-def writes_to_x(x, u, environment, p, dx):
-    linear_car_function(x, u, environment, p, dx)
-    x[4] += 1e-6
-
-
-def writes_to_environment(x, u, environment, p, dx):
-    linear_car_function(x, u, environment, p, dx)
-    environment[5] += 1e-6
-
-
-def writes_to_parameters(x, u, environment, p, dx):
-    linear_car_function(x, u, environment, p, dx)
-    p[0] *= 1.001
-
-
-@pytest.mark.parametrize("function", [writes_to_x, writes_to_environment, writes_to_parameters])
-def test_the_checker_refuses_a_users_plant_that_writes_to_its_arguments(function):
-    global linear_car_function
-    linear_car_function = user_plant().compiled.right_hand_side
-    with pytest.raises(ContractError, match="must not be written to"):
-        check_plant(user_plant(function), speeds=(10.0,))
+        check_plant(user_plant(writes_to_parameters), speeds=(10.0,))
 
 
 def test_the_checker_refuses_a_user_plant_that_forgets_a_state():

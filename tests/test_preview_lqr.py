@@ -9,7 +9,6 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import adaptrack as at
-from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers.lqr import SPEEDS
 from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
@@ -153,42 +152,35 @@ WINDING = Road.from_segments(
 WEIGHTS = {"q_e": 1.0, "q_heading": 100.0, "r": 100.0}
 
 
-def driven(controller, lag: float) -> tuple[float, float]:
-    """Cost of `WEIGHTS` and largest |y| (m) of the linear car with a steering lag on clothoids, at 10 m/s."""
+def driven_cost(controller, lag: float) -> float:
+    """Cost of `WEIGHTS` for the linear car with a steering lag on clothoids, at 10 m/s."""
     model, speed, s = PathModel(SEDAN, 0.05, lag), 10.0, 0.0
     n = model.n
     A, B, E = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     model.function(speed, 0.05, model.parameters(), A, B, E)
     X, U = steady_turn(SEDAN, speed, n)
-    x, worst, cost = np.zeros(n), 0.0, 0.0
+    x, cost = np.zeros(n), 0.0
     controller.reset()
     for _ in range(560):
         answer = controller.step(x[[0, 1, 2, n - 1]], speed, np.zeros(1), road=RoadAhead(WINDING, s, [speed]))
         w = speed * float(WINDING.at(min(s + 0.25, WINDING.length)).curvature)
         cost += x[-1] ** 2 + 100.0 * (x[1] - X[1] * w) ** 2 + 100.0 * (answer.angle - U * w) ** 2
         x, s = A @ x + B * answer.angle + E * w, s + 0.5
-        worst = max(worst, abs(x[-1]))
-    return cost, worst
+    return cost
 
 
 @pytest.mark.compiled
 @every_lag
 def test_on_clothoids_no_lqr_without_preview_has_a_lower_cost(lag):
-    cost, _ = driven(made(lag=lag, **WEIGHTS), lag)
+    cost = driven_cost(made(lag=lag, **WEIGHTS), lag)
     for time in (0.0, 0.1, 0.2, 0.3):
         without = at.LQR(SEDAN, **WEIGHTS, period=0.05, limits=WIDE, preview_time=time)
-        assert cost < 0.99 * driven(without, lag)[0]
-
-
-@pytest.mark.compiled
-def test_behind_a_steering_lag_it_strays_less_on_clothoids_than_the_lqr_without_preview():
-    without = at.LQR(SEDAN, **WEIGHTS, period=0.05, limits=WIDE, preview_time=0.0)
-    assert driven(made(**WEIGHTS), 0.2)[1] < 0.2 * driven(without, 0.2)[1]
+        assert cost < 0.99 * driven_cost(without, lag)
 
 
 @pytest.mark.compiled
 def test_the_further_it_sees_the_lower_its_cost_until_all_that_counts_is_seen():
-    costs = [driven(made(ahead=ahead), 0.2)[0] for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
+    costs = [driven_cost(made(ahead=ahead), 0.2) for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
     assert costs[:4] == sorted(costs[:4], reverse=True)
     assert costs[0] > 1.2 * costs[2]
     assert costs[4] == pytest.approx(costs[3], rel=1e-3)
@@ -206,20 +198,3 @@ def test_a_pose_of_known_age_is_moved_on_with_the_present_motion():
     current = yaw + age * rate, y + age * speed * (yaw + 0.5 * age * rate)
     first = late.step([0.0, yaw, rate, y], speed, np.zeros(1)).angle
     assert first == pytest.approx(prompt.step([0.0, current[0], rate, current[1]], speed, np.zeros(1)).angle, abs=1e-12)
-
-
-# -- what makes no controller ------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"q_e": 0.0}, "q_e = 0.0: must be finite and positive"),
-        ({"r": math.inf}, "r = inf"),
-        ({"ahead": 0.01}, "ahead = 0.01 s: must be from a control period to 10"),
-        ({"ahead": 11.0}, "ahead"),
-        ({"period": -1.0}, "period"),
-        ({"q_e": 1e300, "r": 1e-300}, "so far apart"),
-    ],
-)
-def test_what_makes_no_controller_is_refused(options, message):
-    with pytest.raises(InvalidInput, match=message):
-        made(**options)

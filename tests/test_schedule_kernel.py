@@ -1,6 +1,5 @@
 """The schedulers' kernels: the numbers of the models they were packed from, and nothing worse than that to steer by."""
 
-import itertools
 import math
 
 import numpy as np
@@ -121,13 +120,6 @@ def test_a_table_is_that_of_scipy(method, rng):
         table = random_table(rng, inputs, method)
         x = np.column_stack([rng.uniform(axis[0] - 1.0, axis[-1] + 1.0, 10) for axis in table.axes])
         close(by_kernel(table, x), scipys(table, x))
-
-
-@pytest.mark.parametrize("method", ["nearest", "multilinear"])
-def test_a_table_is_exact_at_its_nodes(method, rng):
-    table = random_table(rng, 4, method)
-    nodes = np.array(list(itertools.product(*table.axes)))
-    assert np.array_equal(by_kernel(table, nodes), table.values.ravel())
 
 
 # -- from the variables to a tuning -----------------------------------------------------------------------------------

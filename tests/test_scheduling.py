@@ -13,7 +13,6 @@ from adaptrack.base.errors import ContractError, InvalidInput, StorageError
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import CompiledScheduler, Scheduler, Tuning, published_mpc
-from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import (
     ENTRIES,
     Constant,
@@ -213,11 +212,6 @@ def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithm
     assert schedule(SchedulingVariables(10.0, 0.0, 0.6, 0.0)) == (25.0, 6.0, pytest.approx(2.0), pytest.approx(100.0))
     assert schedule(SchedulingVariables(10.0, 0.0, 0.2, 0.0))[:2] == (20.0, 4.0)
     assert schedule(SchedulingVariables(10.0, 0.0, 0.9, 0.0))[:2] == (30.0, 8.0)
-
-
-def test_learned_decades_of_the_ratio_of_the_weights_become_r(rng):
-    schedule = Learned({"Np": 30, "Nc": 5, "log10_ratio": line(0.0, 30.0, 0.0, 3.0)}, ("speed",), [[0.0, 30.0]])
-    assert schedule(HERE) == (30.0, 5.0, 1.0, pytest.approx(10**1.4))
 
 
 GOOD = {"Np": 30.0, "Nc": 5.0, "Q": 1.0, "R": 1.0}
@@ -527,15 +521,6 @@ def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
     assert not any(mpc.scheduler_counts.values())
     assert published_mpc(CAR).scheduler_counts == {}
     assert published_mpc(CAR, scheduler=lambda variables: FALLBACK).scheduler_counts == {"raised": 0}
-
-
-def test_a_variable_that_is_no_number_keeps_the_car_steering(rng):
-    mpc = driven("network", rng)
-    first = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE)
-    second = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE._replace(friction=math.nan))
-    assert second.status is QPStatus.SOLVED
-    assert second.tuning == first.tuning
-    assert mpc.scheduler_counts["broken"] == 1
 
 
 def test_an_mpc_refuses_a_schedule_for_another_controller():

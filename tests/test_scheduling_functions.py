@@ -7,7 +7,6 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import (
-    VARIABLES,
     Function,
     Learned,
     Number,
@@ -89,30 +88,6 @@ def test_a_function_is_shifted_by_exactly_that_much_everywhere(kind, by, rng):
     moved = function.shifted(by)
     x = rng.normal(size=(50, 2)) * 3.0
     np.testing.assert_allclose(moved.predict(x) - function.predict(x), by, rtol=0, atol=1e-9)
-
-
-@every_kind
-def test_the_compiled_schedule_is_shifted_too_each_entry_by_its_own(kind, rng):
-    """Horizons by whole numbers, so that rounding does not hide it; R by decades."""
-    raw = functions(rng)[kind]
-    rows = np.zeros((20, len(VARIABLES)))
-    rows[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
-    bounds = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
-
-    def batch(by):
-        low = 100.0 - float(raw.predict(rows[:, :2]).min())  # well within the bounds, and Nc below Np
-        moved = {
-            "Np": raw.shifted(low + 300.0 + by[0]),
-            "Nc": raw.shifted(low + by[1]),
-            "log10_ratio": raw.shifted(by[2]),
-        }
-        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, bounds).batch(rows)
-
-    base, moved = batch((0.0, 0.0, 0.0)), batch((3.0, -2.0, 0.15))
-    assert base[:, :2].min() > 1.0
-    assert (base[:, 1] < base[:, 0]).all()
-    np.testing.assert_array_equal((moved - base)[:, :3], np.tile([3.0, -2.0, 0.0], (20, 1)))
-    np.testing.assert_allclose(np.log10(moved[:, 3] / base[:, 3]), 0.15, rtol=0, atol=1e-9)
 
 
 @every_kind

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.analysis.certify import OPERATING
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
@@ -19,13 +18,6 @@ def test_every_variable_has_a_label_a_unit_and_a_range():
         assert variable.unit
         assert variable.meaning
         assert variable.low < variable.high
-
-
-def test_the_operating_domain_is_the_one_that_the_shipped_certificates_were_made_on():
-    assert OPERATING == {
-        "speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0),
-        "change": (0.0, 8.0), "acceleration": (0.0, 3.5), "offset": (-5.0, 5.0),
-    }  # fmt: skip
 
 
 def test_what_may_be_left_out_at_the_end_is_zero():

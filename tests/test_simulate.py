@@ -173,19 +173,6 @@ def test_a_batch_measures_what_its_trajectories_show(drives, rng):
         assert batch.cost(3.0)[i] == pytest.approx(batch.mse[i] + 3.0 * batch.mean_squared_move[i])
 
 
-@pytest.mark.parametrize(
-    "horizon",
-    [34.5, 34.4, 35.5],
-)
-def test_a_real_valued_horizon_is_rounded_alike_alone_and_in_company(horizon):
-    step = load_scenario("step", amplitude=0.02, duration=0.6)
-    company = [[horizon, 8, 1, 30], [50, 8, 1, 30]]
-    together = rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, company).mse[0]
-    assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, company[:1]).mse[0] == together
-    horizons = [[math.floor(horizon + 0.5), 8, 1, 30]]
-    assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, horizons).mse[0] == together
-
-
 # -- noise ------------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_counted_noise_is_standard_normal_and_without_memory():
@@ -529,14 +516,6 @@ def test_a_step_is_reached_without_steady_state_error_in_any_constant_wind(plant
     assert np.abs(run.error[-20:]).max() < 1e-4
     assert np.abs(run.command[-1]) > 1e-3 or wind == 0.0
     assert (run.diagnostics["qp_status"] == QPStatus.SOLVED).all()
-
-
-@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
-def test_on_a_straight_road_without_wind_nothing_moves(plant):
-    run = simulate(plant(CAR), published_mpc(CAR), straight_then(duration=1.0))
-    for name in ("Y", "psi", "vy", "yaw_rate", "steering", "command", "lateral_acceleration"):
-        assert (getattr(run, name) == 0.0).all(), name
-    assert run.X[-1] == pytest.approx(15.0 * 0.9, rel=1e-12)
 
 
 def test_the_recorded_acceleration_is_that_of_the_recorded_motion():

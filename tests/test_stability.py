@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
-from scipy.linalg import expm, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 from scipy.optimize import brentq
 
 from adaptrack import (
@@ -36,7 +36,6 @@ from adaptrack.analysis.linearisation import (
     steady_turn,
 )
 from adaptrack.analysis.stability import (
-    closed_loop,
     hard_turn,
     loop_map,
     loops,
@@ -63,35 +62,12 @@ PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), published_mpc(CAR, period=0.0
 INFORMED = MPC(CAR, profile="road")
 
 
-def decay(plant, mpc, speed, profile="paper"):
-    """The size of a small offset over the steps of a simulation."""
-    quiet = load_scenario("step", amplitude=1e-4, speed=speed, friction=0.75, duration=30.0)
-    return np.abs(rollout(plant, mpc, quiet, profile=QUIET if profile == "road" else profile).error)
-
-
 def some_tunings(seed, n):
     rng = np.random.default_rng(seed)
     Np = rng.integers(10, 61, n)
     return np.column_stack(
         [Np, np.minimum(rng.integers(1, 21, n), Np), rng.uniform(0.5, 2.0, n), 10 ** rng.uniform(2, 5.5, n)]
     )
-
-
-@pytest.mark.parametrize("profile", ["paper", "road"])
-@pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.9, 6)])
-def test_the_matrix_moves_small_states_as_the_simulation_does(profile, moves):
-    plant = DualTrack(CAR, "magic-formula")
-    period = 0.1 if profile == "paper" else 0.05
-    mpc = published_mpc(CAR, Tuning(Np=30, Nc=6, Q=1.0, R=100.0), moves=moves, period=period)
-    size = decay(plant, mpc, 15.0, profile)
-    radius = spectral_radius(plant, mpc, 15.0, friction=0.75, profile=profile)
-    late = slice(-100, None)
-    steps = np.arange(size.size)[late]
-    envelope = np.maximum.accumulate(size[::-1])[::-1][late]  # the largest error still to come
-    if radius < 1.0 and envelope[0] > 1e-14:
-        slope = np.polyfit(steps[:60], np.log(envelope[:60] + 1e-300), 1)[0]
-        assert np.exp(slope) <= radius + 0.02
-    assert np.isfinite(closed_loop(plant, mpc, 15.0, profile=profile)).all()
 
 
 @pytest.mark.parametrize("tuning", [(35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0), (12, 2, 1.0, 3e3)])
@@ -119,36 +95,6 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
     coefficients = np.linalg.lstsq(rows[:, :4], rows[:, 4])[0]
     rate = np.abs(np.roots([1.0, *-coefficients[::-1]])).max()
     assert rate == pytest.approx(radii(matrix), abs=1e-3)
-
-
-def literal_loop(plant, mpc, speed, tuning, profile):
-    """The loop as the controller does it: moves from changes of what it measures, summed up to a command."""
-    names, a, b = linearised(plant, speed)
-    n, lag = len(b), profile.steering.lag
-    flow = np.zeros((n + 2, n + 2))  # plant, wheel angle, command
-    flow[:n, :n], flow[:n, n] = a, b
-    flow[n, n], flow[n, n + 1] = -1.0 / lag, 1.0 / lag
-    flow = expm(flow * mpc.period)
-    _, k = mpc.model.feedback(speed, tuning.Np, tuning.Nc, tuning.Q, tuning.R)
-    order = [names.index(name) for name in ("vy", "psi", "yaw_rate", "Y")]
-
-    def step(state):
-        x, command, last = state[: n + 1], state[n + 1], state[n + 2 :]
-        measured = x[order]
-        angle = command - k @ np.append(measured - last, measured[3])
-        acting = command if profile.delay else angle
-        return np.concatenate([(flow @ np.append(x, acting))[: n + 1], [angle], measured])
-
-    return np.array([step(unit) for unit in np.eye(n + 6)]).T
-
-
-@pytest.mark.parametrize("profile", [ROAD, ROAD.replace(delay=0)])
-def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
-    for speed, tuning in product((5.0, 15.0, 25.0), (Tuning(35, 5, 1.0, 1e4), Tuning(20, 8, 2.0, 300.0))):
-        short = closed_loop(PLANT, ROAD_MPC, speed, tuning=tuning, profile=profile)
-        values = np.linalg.eigvals(literal_loop(PLANT, ROAD_MPC, speed, tuning, profile))
-        values = values[np.argsort(-np.abs(values))][: len(short)]  # the rest, of what was measured last, is zero
-        np.testing.assert_allclose(np.sort(np.abs(np.linalg.eigvals(short))), np.sort(np.abs(values)), atol=1e-6)
 
 
 # -- the steady turn --------------------------------------------------------------------------------------------------
@@ -250,14 +196,6 @@ def test_margins_are_those_of_an_analytic_loop(pole, gain):
     z = np.exp(1j * np.linspace(1e-3, np.pi, 200_000))
     distance = np.abs(1.0 + gain / ((z - pole) * (z - 1.0))).min()
     assert result.modulus_margin[0] == pytest.approx(min(distance, 1.0), abs=1e-4)
-
-
-def test_the_delay_margin_is_exact_for_whole_periods():
-    """1/z^2 (z - 1) is at the verge with the gain 2 sin(pi/10): so 1/z (z - 1) with this gain bears one period more."""
-    gain = 2.0 * np.sin(np.pi / 10.0)
-    result = margins(*lagging(0.0, gain), 0.05)
-    assert result.delay[0] == pytest.approx(0.05, rel=1e-4)
-    assert result.gain_up[0] == pytest.approx((1.0 + np.sqrt(5.0)) / 2.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("mpc", [ROAD_MPC, INFORMED], ids=["published", "informed"])

@@ -16,7 +16,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers.learned import Learning
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import Settings
-from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.estimators import learning
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, informed, laws, published, tuning
@@ -296,12 +296,6 @@ def test_the_numbers_of_an_mpc_are_all_there_without_python(case):
         assert settings[field] == getattr(batch.settings, field), field
 
 
-def test_a_lag_of_zero_leaves_the_wheel_angle_out():
-    _, constants = made(SEDAN, CASES["without lag"])
-    assert constants.states.tolist() == [0, 1, 2, 3]
-    assert kalman.parameters_of(constants.estimator, 0).variance[4] == math.inf
-
-
 WRONG = [
     ("car", "mass", math.nan, informed.CAR_WRONG), ("car", "lf", -1.0, informed.CAR_WRONG),
     ("car", "stiffness_rear", math.inf, informed.CAR_WRONG), ("car", "side_force_slope", math.nan, informed.CAR_WRONG),
@@ -350,17 +344,8 @@ def test_a_program_in_c_makes_the_same_controller(tmp_path):
     if not isinstance(loaded, library.Library) or loaded.edited:
         pytest.skip("needs the library of these sources")
     program = Path(__file__).parent / "processors" / "make.c"
-    command = [
-        compiler,
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        f"-I{library.BUILT}",
-        str(program),
-        str(loaded.path),
-    ]
-    subprocess.run([*command, "-o", str(tmp_path / "make"), "-lm"], check=True)
+    files = f"-I{library.BUILT}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
+    subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm"], check=True)
     subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
     answers = np.fromfile(tmp_path / "answers")
 

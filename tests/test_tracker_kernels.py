@@ -16,7 +16,7 @@ from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.follow import tracker_follow
 from adaptrack.core.tracker.give import tracker_engage
-from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, SAMPLE, TRACKED
+from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, TRACKED
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.ahead import pack_roads, stacked
@@ -110,26 +110,6 @@ def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rn
 
 
 # -- hostile calls ----------------------------------------------------------------------------------------------------
-@pytest.mark.compiled
-@pytest.mark.parametrize("name", ["informed", "learning", "published", "Stanley"])
-def test_no_call_leaves_a_command_that_is_no_number(name, rng):
-    tracking, step = compiled(MAKERS[name]())
-    for row in wild_calls(rng, ROAD, 400, hostile=0.5):
-        row[1] = rng.choice([row[1], rng.choice(HOSTILE)])
-        answer = call(tracking, step, *row)
-        assert abs(answer[TRACKED.command]) <= math.pi / 6
-        assert answer[TRACKED.status] in range(10)
-
-
-@pytest.mark.parametrize("value", HOSTILE)
-@pytest.mark.parametrize("field", SAMPLE._fields[2:])
-def test_what_is_absurd_in_the_first_sample_gives_a_status(field, value):
-    tracking, step = compiled(MAKERS["pure pursuit"]())
-    sample = [0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]
-    sample = [value if name == field else number for name, number in zip(SAMPLE._fields, sample, strict=False)]
-    answer = call(tracking, step, *sample)
-    assert math.isfinite(answer[TRACKED.command])
-    assert answer[TRACKED.status] in range(10)
 
 
 def test_a_call_without_a_time_is_left_out():

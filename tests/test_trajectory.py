@@ -1,6 +1,5 @@
 """A trajectory is checked at the door, says its errors with a sign, and survives its file bit for bit."""
 
-import dataclasses
 import json
 import os
 from datetime import UTC, datetime
@@ -60,12 +59,6 @@ def wild(n=50, seed=1):
         failed_at=5.1,
         meta={"scenario": "step", "limits": (1, 2.5), "µ": None},
     )
-
-
-def test_the_column_list_names_every_array_of_the_dataclass():
-    fields = [field.name for field in dataclasses.fields(Trajectory)]
-    further = ["period", "tuning", "diagnostics", "road", "units", "failed", "failed_at", "meta"]
-    assert fields == [column.name for column in COLUMNS] + further
 
 
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
@@ -173,64 +166,42 @@ def test_what_does_not_fit_is_refused_with_the_name_of_the_array(changes, compla
         record(**changes)
 
 
-def test_a_missing_file_a_folder_and_a_text_file_are_refused(tmp_path):
+def test_what_is_no_file_of_a_trajectory_is_refused(tmp_path):
     (tmp_path / "text.parquet").write_text("t,Y\n0,1\n")
     (tmp_path / "empty.parquet").write_bytes(b"")
+    pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "foreign.parquet")
     for name, complaint in (
         ("none.parquet", "No such file"),
         ("", "Is a directory"),
         ("text.parquet", "not a Parquet file"),
         ("empty.parquet", "not a Parquet file"),
+        ("foreign.parquet", "holds no trajectory, but a table of another program"),
     ):
         with pytest.raises(StorageError, match=complaint):
             Trajectory.load(tmp_path / name)
 
 
-def test_a_foreign_parquet_file_is_refused(tmp_path):
-    pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "foreign.parquet")
-    with pytest.raises(StorageError, match="holds no trajectory, but a table of another program"):
-        Trajectory.load(tmp_path / "foreign.parquet")
-
-
-def rewritten(path, table=None, **entries):
-    """The file at `path` with other schema entries, as another program might leave it."""
-    table = pq.read_table(path) if table is None else table
-    stored = dict(table.schema.metadata) | {key.encode(): value.encode() for key, value in entries.items()}
-    pq.write_table(table.replace_schema_metadata(stored), path)
-
-
-def test_another_format_version_is_refused_with_both_versions(tmp_path):
-    path = tmp_path / "run.parquet"
-    record().save(path)
-    rewritten(path, format_version="7", adaptrack="9.9.9")
-    with pytest.raises(
-        StorageError, match=r"9\.9\.9 in format version 7, this adaptrack reads version 2: run the simulation"
-    ):
-        Trajectory.load(path)
-
-
-def test_an_edited_file_is_refused_with_the_reason(tmp_path):
+def test_an_edited_file_and_one_of_another_version_are_refused_with_the_reason(tmp_path):
     path = tmp_path / "run.parquet"
     record().save(path)
     stored = pq.read_table(path)
-    metadata = stored.schema.metadata[b"about"].decode()
-    holes = stored.set_column(2, "Y", pa.array([None] + [0.0] * 7))
+    about = stored.schema.metadata[b"about"].decode()
+    holes = stored.set_column(2, "Y", pa.array([None] + [0.0] * 7)).replace_schema_metadata(stored.schema.metadata)
+    other_period, other_seed = (
+        about.replace('"period": 0.1', '"period": 0.2'),
+        about.replace('"meta": {', '"meta": {"seed": 1'),
+    )
+    versions = r"9\.9\.9 in format version 7, this adaptrack reads version 2: run the simulation"
     for table, entries, complaint in (
         (stored.drop_columns(["psi"]), {}, "no column 'psi'"),
-        (holes.replace_schema_metadata(stored.schema.metadata), {}, "1 missing values in column 'Y'"),
+        (holes, {}, "1 missing values in column 'Y'"),
         (stored, {"about": "{"}, "damaged, or edited"),
-        (
-            stored,
-            {"about": metadata.replace('"period": 0.1', '"period": 0.2')},
-            "the checksum of its content does not fit",
-        ),
-        (
-            stored,
-            {"about": metadata.replace('"meta": {', '"meta": {"seed": 1')},
-            "the checksum of its content does not fit",
-        ),
+        (stored, {"about": other_period}, "the checksum of its content does not fit"),
+        (stored, {"about": other_seed}, "the checksum of its content does not fit"),
+        (stored, {"format_version": "7", "adaptrack": "9.9.9"}, versions),
     ):
-        rewritten(path, table, **entries)
+        metadata = dict(table.schema.metadata) | {key.encode(): value.encode() for key, value in entries.items()}
+        pq.write_table(table.replace_schema_metadata(metadata), path)
         with pytest.raises(StorageError, match=complaint):
             Trajectory.load(path)
 
@@ -269,30 +240,18 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatc
 
 def test_provenance_names_the_software_and_takes_the_callers_clock():
     meta = provenance(
-        Origin(
-            scenario={"name": "step", "duration": 18.0},
-            plant="dual-track",
-            tyre="magic-formula",
-            vehicle="paper",
-            profile="paper",
-            seed=0,
-            preview=False,
-            controller="standard",
-            tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
-        ),
+        Origin(scenario={"name": "step", "duration": 18.0}, plant="dual-track", tyre="magic-formula", vehicle="paper",
+               profile="paper", seed=0, preview=False, controller="standard",
+               tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}),
         datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
         moves="pulses",
-    )
+    )  # fmt: skip
     run = record(meta=meta)
     assert run.meta["created"] == "2026-01-02T03:04:00+00:00"
     assert run.meta["versions"]["adaptrack"] == __version__
     assert {"python", "numpy", "kernels"} < set(run.meta["versions"])
-    assert [run.name_of(entry) for entry in ("scenario", "plant", "moves", "unknown")] == [
-        "step",
-        "dual-track",
-        "pulses",
-        "",
-    ]
+    names = [run.name_of(entry) for entry in ("scenario", "plant", "moves", "unknown")]
+    assert names == ["step", "dual-track", "pulses", ""]
     assert "step, standard" in repr(run)
 
 

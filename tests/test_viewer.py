@@ -1,18 +1,14 @@
 """What draws a drive in the browser, replayed and while it is driven: it shows and tells the numbers it is given."""
 
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import browser
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.results.drive import write_drive_page
-from adaptrack.results.replay import SCRIPTS, STYLE
-from browser import Served
 from made_drives import bend, made_drive, made_run, recorded
-from test_replay import COLLECT, ask_page
+from test_replay import ask_page
 
 pytestmark = pytest.mark.needs("chromium")
 
@@ -97,31 +93,3 @@ def test_the_predicted_path_lies_where_it_was_predicted(answers, drives):
     assert path == pytest.approx(paths.points[k], abs=0.02)
     assert answers["none"] is None
     assert answers["late"] is None
-
-
-# -- a drive that grows -----------------------------------------------------------------------------------------------
-
-
-NOTHING_ELSE = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
-)
-"""The policy under which the page is served: what it would load from elsewhere is an error."""
-
-
-def ask_live(script):
-    sources = files("adaptrack.export").joinpath("page")
-    scripts = "\n".join(sources.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
-    html = (PAGES / "live.html").read_text().replace("/* STYLE */", sources.joinpath(STYLE).read_text(encoding="utf-8"))
-    collect = COLLECT.replace("replay = window.adaptrackReplay", "{live} = window").replace(
-        'const canvas = document.querySelector("#replay-view canvas");', "const {canvas} = live;"
-    )
-    page = html.replace("/* SCRIPTS */", scripts) + collect % script
-    answer, messages = browser.ask({"/": Served(page, NOTHING_ELSE)})
-    assert answer["failures"] == []
-    assert messages == []
-    return answer
-
-
-@pytest.fixture(scope="module")
-def live():
-    return ask_live((PAGES / "live.js").read_text())
