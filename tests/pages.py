@@ -129,13 +129,12 @@ NAME = """((each) => each === document.body ? "body" : `${each.id || each.datase
 """A control in words."""
 
 
-def differing(car: dict[str, Any], expected: dict[str, np.ndarray]) -> int:
-    """How many steps of a drive of the page differ in any bit from one of Python's: `page_drives.driven`."""
-    columns = dict(zip(car["columns"], car["numbers"].T, strict=True))
-    is_different = np.zeros(len(expected["x"]), bool)
+def differing(columns: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> dict[str, int]:
+    """How many numbers of a drive of the page differ in any bit from those of Python (`page_drives.driven`), by column."""
+    count, differences = len(expected["x"]), {}
     for name, values in expected.items():
-        column = np.ascontiguousarray(columns[name])
-        assert column.size == values.size, name
+        column = np.ascontiguousarray(columns[name][:count])
+        assert column.size == count, name
         both = np.isnan(column) & np.isnan(values)
-        is_different |= (column.view(np.int64) != values.view(np.int64)) & ~both
-    return int(is_different.sum())
+        differences[name] = int(((column.view(np.int64) != values.view(np.int64)) & ~both).sum())
+    return {name: number for name, number in differences.items() if number}

@@ -264,30 +264,6 @@ def test_below_walking_pace_the_last_heading_of_the_path_is_kept(law):
 
 
 @every_law
-@pytest.mark.parametrize(
-    ("state", "speed", "reference"),
-    [
-        (None, 15.0, [0.0]),
-        ([0.0, 0.0, 0.0], 15.0, [0.0]),
-        (["a", 0.0, 0.0, 0.0], 15.0, [0.0]),
-        ([0.0, 0.0, 0.0, 1j], 15.0, [0.0]),
-        ([[0.0], [0.0, 1.0]], 15.0, [0.0]),
-        ([0.0] * 4, "fast", [0.0]),
-        ([0.0] * 4, None, [0.0]),
-        ([0.0] * 4, [15.0, 16.0], [0.0]),
-        ([0.0] * 4, 15.0, []),
-        ([0.0] * 4, 15.0, None),
-        ([0.0] * 4, 15.0, "ahead"),
-    ],
-)
-def test_what_is_no_number_is_refused_and_changes_nothing(law, state, speed, reference):
-    controller = law(CAR)
-    with pytest.raises(InvalidInput, match=r"state|speed|reference"):
-        controller.step(state, speed, reference)
-    assert controller.angle == 0.0
-
-
-@every_law
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, "1", None, True])
 def test_an_impossible_tuning_or_period_is_refused(law, value):
     name = law(CAR).tuning_names[0]

@@ -29,15 +29,15 @@ compiled = pytest.mark.compiled
 @pytest.mark.parametrize("name", TARGETS)
 @compiled
 def test_hostile_inputs_break_no_claim(name):
-    failure = search(3000, seed=1, targets=[name])
-    assert failure.steps[name] == 3000
-    assert [failed.claim for failed in failure.failed] == []
+    outcome = search(3000, seed=1, targets=[name])
+    assert outcome.steps[name] == 3000
+    assert [failed.claim for failed in outcome.failed] == []
 
 
 @compiled
 def test_hostile_inputs_break_no_claim_inside_the_kernels():
-    failure = search_compiled(100_000, seed=1)
-    assert [failed.claim for failed in failure.failed] == []
+    outcome = search_compiled(100_000, seed=1)
+    assert [failed.claim for failed in outcome.failed] == []
 
 
 @settings(max_examples=30)

@@ -13,11 +13,9 @@ import pytest
 from adaptrack.core import library
 from adaptrack.core.kernel import (
     INTERPRETED,
-    Row,
     Setting,
     copier,
     defaults,
-    exported,
     float64,
     inlined,
     local,
@@ -101,18 +99,6 @@ def written_by_name(values):
     return m.square[1, 0] + m.inner.y
 
 
-@exported(float64(Row(INNER), vector), name="test_sum_of_a_row")
-def sum_of_a_row(inner, values):
-    return inner.x + inner.y + values[0]
-
-
-@inlined
-def handed_on(values):
-    """Fields of a record as arguments of an exported kernel."""
-    m = outer_at(values, 2)
-    return sum_of_a_row(m.inner, m.row)
-
-
 @inlined
 def filled(x):
     """The sum of a small array, filled anew at each of three rounds."""
@@ -135,11 +121,6 @@ def test_the_parts_of_a_vector_are_read_and_written_by_name():
     assert (m.a, m.inner.x, m.row.tolist(), m.square.tolist()) == (1.0, 2.0, [4.0, 5.0, 6.0], [[7.0, 8.0], [9.0, 10.0]])
     m.inner.x, m.row[1] = -1.0, -2.0
     assert (values[3], values[6]) == (-1.0, -2.0)
-
-
-def test_the_parts_of_a_vector_are_arguments_as_any_other():
-    values = np.arange(16.0)
-    assert entry(handed_on)(values) == sum_of_a_row(outer_at(values, 2).inner, outer_at(values, 2).row) == 12.0
 
 
 def test_a_small_array_is_zero_at_each_call():

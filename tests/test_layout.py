@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.core import layout, period, rollout
+from adaptrack.core import layout, rollout
 from adaptrack.core.controllers import mpc
 from adaptrack.core.kernel import Array
 from adaptrack.drive.batch import Batch
@@ -89,18 +89,3 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     assert settings.tolist() == tuple(run.mpc.settings)
     assert all(array.ctypes.data % layout.ALIGNMENT == 0 for array in arrays(run.mpc.ws))
     assert run.measured is run.mpc.measured
-
-
-def test_a_memory_of_an_mpc_that_is_prepared_again_is_as_before():
-    batch = at.MPC(CAR, profile="road", learning=at.Learning()).batch(2, at.MPC(CAR, profile="road").settings())
-    before = [array.copy() for array in arrays(batch)]
-    batch.memory["speed"], batch.informed.learned[:] = 3.0, -1.0
-    batch.ws.rows[:], batch.model.c[:] = 7.0, 0.5
-    batch.ws.rows[..., 4 * int(batch.settings.most_moves) :] = 0.0
-    mpc.prepare(batch)
-    assert all(first.tobytes() == other.tobytes() for first, other in zip(before, arrays(batch), strict=True))
-
-
-def test_a_record_whose_sizes_are_not_all_written_is_refused():
-    with pytest.raises(AssertionError, match="not every array"):
-        layout.room(period.Trace, lambda table, row: layout.put(table, row, 3))

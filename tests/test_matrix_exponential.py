@@ -60,31 +60,6 @@ def test_they_are_the_blocks_of_a_larger_exponential(n, norm):
         assert np.abs(block - expected).max() <= 2e-14 * np.abs(expected).max(), k
 
 
-@every_size
-@every_norm
-def test_each_is_the_next_times_z_and_its_first_term(n, norm):
-    z = damped(n, norm, 1)
-    phis = phi(z)
-    for k in range(3):
-        expected = z @ phis[k + 1] + np.eye(n) / math.factorial(k)
-        size = np.abs(z) @ np.abs(phis[k + 1]) + np.eye(n) / math.factorial(k)
-        assert np.abs(phis[k] - expected).max() <= 1e-13 * size.max(), k
-
-
-@every_size
-def test_of_nothing_they_are_shares_of_the_identity(n):
-    for k, block in enumerate(phi(np.zeros((n, n)))):
-        assert np.array_equal(block, np.eye(n) / math.factorial(k)), k
-
-
-@every_size
-def test_of_a_shift_they_end_with_its_last_power(n):
-    z = np.eye(n, k=1)
-    for k, block in enumerate(phi(z)):
-        expected = sum(np.eye(n, k=i) / math.factorial(i + k) for i in range(n))
-        np.testing.assert_allclose(block, expected, rtol=0, atol=1e-16 * 4)
-
-
 def test_of_what_is_not_finite_they_are_no_numbers():
     for value in (math.inf, -math.inf, math.nan):
         assert np.isnan(phi(np.array([[value, 1.0], [0.0, -1.0]]))).any()

@@ -250,10 +250,10 @@ class Broken:
 @pytest.mark.parametrize(
     ("changes", "clause"),
     [
-        ({"e": lambda e, speed: e.fill(math.nan)}, "must be written and finite"),
-        ({"b": lambda b, speed: b.__setitem__(0, speed)}, "must give the same matrices"),
-        ({"a": lambda a, speed: a.__setitem__((1, 3), 0.1)}, "must stay where it is"),
-        ({"b": lambda b, speed: b.__imul__(-1.0)}, "to the left must move y to the left"),
+        ({"e": lambda e, count: e.fill(math.nan)}, "must be written and finite"),
+        ({"b": lambda b, count: b.__setitem__(0, count)}, "must give the same matrices"),
+        ({"a": lambda a, count: a.__setitem__((1, 3), 0.1)}, "must stay where it is"),
+        ({"b": lambda b, count: b.__imul__(-1.0)}, "to the left must move y to the left"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -268,4 +268,4 @@ def test_the_checker_refuses_a_model_that_writes_to_its_parameters():
             return np.append(self.numbers, 0.0)  # one more, which the matrices do not need
 
     with pytest.raises(ContractError, match="parameters must not be written to"):
-        check_model(Careless(p=lambda p, speed: p.__setitem__(6, 1.0)))
+        check_model(Careless(p=lambda p, count: p.__setitem__(6, 1.0)))

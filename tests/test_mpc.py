@@ -198,17 +198,9 @@ def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output,
 
 @pytest.mark.parametrize(
     ("horizons", "used"),
-    [
-        ((35.0, 8.0), (35, 8)),
-        ((34.5, 8.2), (35, 8)),
-        ((34.49, 7.5), (34, 8)),
-        ((10.0, 14.0), (10, 10)),
-        ((1e12, 1e12), (60, 20)),
-        ((0.2, 0.2), (1, 1)),
-        ((-7.0, 3.0), (1, 1)),
-        ((60.4, 19.6), (60, 20)),
-    ],
-)
+    [((34.5, 8.2), (35, 8)), ((34.49, 7.5), (34, 8)), ((10.0, 14.0), (10, 10)), ((1e12, 1e12), (60, 20)),
+     ((0.2, 0.2), (1, 1)), ((-7.0, 3.0), (1, 1)), ((60.4, 19.6), (60, 20))],
+)  # fmt: skip
 def test_real_valued_horizons_are_rounded_and_clamped(horizons, used):
     mpc = published_mpc(CAR, scheduler=lambda variables: (*horizons, 10.0, 0.01))
     command = mpc.step(REST, 15.0, [0.2], HERE)

@@ -11,7 +11,7 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import MPC, Limits, Moves, Tuning, published_mpc
+from adaptrack.control.controllers import MPC, Limits, Moves, Stanley, Tuning, published_mpc
 from adaptrack.control.qp import QPStatus, get_qp_solver
 from adaptrack.control.scheduling import Constant, SchedulingVariables
 from references.daqp import Daqp
@@ -76,6 +76,11 @@ def test_what_is_not_made_of_numbers_is_refused_by_name_and_changes_nothing(name
     with pytest.raises(InvalidInput, match="scheduler" if name == "variables" and value is None else name):
         mpc.step(**arguments)
     assert mpc.step(STATE, 14.0, AHEAD, HERE) == twin.step(STATE, 14.0, AHEAD, HERE)
+    if name != "variables":
+        law = Stanley(CAR)
+        with pytest.raises(InvalidInput, match=name):
+            law.step(**arguments)
+        assert law.angle == 0.0
 
 
 # -- numbers that are none --------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from adaptrack.export import page_setup
 from adaptrack.export.page_inputs import page_car
 from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
+from pages import differing
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
@@ -98,20 +99,6 @@ def frames(answers):
 
 def refused(answers):
     return [(answer["where"], answer["message"]) for answer in answers if answer["type"] == "refused"]
-
-
-def differing(columns, expected):
-    """Numbers of which a bit differs, by column; every NaN is like any other."""
-    count, differences = len(expected["x"]), {}
-    for name, values in expected.items():
-        column = np.ascontiguousarray(columns[name][:count])
-        both = np.isnan(column) & np.isnan(values)
-        is_wrong = (
-            (column.view(np.int64) != values.view(np.int64)) & ~both if column.size == count else np.ones(1, bool)
-        )
-        if is_wrong.any():
-            differences[name] = int(is_wrong.sum()), int(is_wrong.argmax())
-    return differences
 
 
 FEW = "informed", "sheet"

@@ -307,18 +307,16 @@ def test_what_path_through_answers_is_said_with_the_line():
         return path.path_through(values, closed, memory)
 
     straight = [(10.0 * k, 0.0) for k in range(6)]
-    read_numbers = {
+    statuses = {
         "TOO_FEW": answered(straight[:3]),
         "TOO_FAR": answered([*straight, (1e6, 0.0)]), "NOT_FINITE": answered([*straight, (math.nan, 0.0)]),
         "TOO_SHORT": answered([(1e-4 * k, 0.0) for k in range(6)]),
         "KINK": answered([*straight, (40.0, 0.001), (30.0, 0.0), (20.0, 0.0)]),
     }  # fmt: skip
     road = {"count": 6, "lines": list(range(11, 31))}
-    answers = asked(
-        [("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *read_numbers.values()]]
-    )
+    answers = asked([("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *statuses.values()]])
     assert answers[0]["value"] is None
-    for (name, (status, place)), answer in zip(read_numbers.items(), answers[1:], strict=True):
+    for (name, (status, place)), answer in zip(statuses.items(), answers[1:], strict=True):
         assert status == getattr(path, name)
         assert answer["value"].endswith((".", "?"))
         assert name in ("TOO_FEW", "TOO_SHORT") or f"line {11 + place}" in answer["value"]

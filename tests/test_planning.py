@@ -22,7 +22,7 @@ from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 from adaptrack.road.cornering import cornering_limit, packed
 from adaptrack.road.road import DRY
-from adaptrack.scenario import RoadDrive, load_scenario
+from adaptrack.scenario import RoadDrive
 
 pytestmark = pytest.mark.kernels
 CAR = load_vehicle("midsize-sedan")
@@ -156,22 +156,6 @@ def test_what_is_not_possible_is_a_status_with_its_number(changes, status, value
     assert code[2] == pytest.approx(value)
 
 
-# -- places -----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("spacing", [0.03, 1.0, 7.3, 1e3])
-def test_places_are_even_where_the_shape_changes_and_where_to_stop(spacing):
-    road, stops = generate_road("mountain", seed=2, length=300.0), np.array([0.0, 0.1, 77.7, 77.7, 300.0 / 7.0 + 100.0])
-    stops[-1] = road.length
-    count = plan_places(road.table.start, spacing, stops, NONE)
-    places = np.full(count, np.nan)
-    assert plan_places(road.table.start, spacing, stops, places) == count
-    assert np.isin(stops, places).all()
-    assert (places[0], places[-1]) == (0.0, road.length)
-    assert (np.diff(places) > 0.0).all()
-    assert np.diff(places).max() <= spacing * (1.0 + 1e-12)
-    nearest = np.abs(places[:, None] - road.table.start).min(axis=0)
-    assert nearest.max() <= 1e-6 * spacing
-
-
 # -- along a road -----------------------------------------------------------------------------------------------------
 def test_what_lies_along_a_road_is_read_as_it_is_written():
     s, value = (0.0, 10.0, 10.5, 40.0), (1.0, 3.0, 2.0, 5.0)
@@ -215,18 +199,6 @@ def test_a_plan_in_time_is_at_its_places_when_it_says_and_stands_at_stops():
     t = np.linspace(0.0, 2.0 * plan.duration, 4001)
     middle = plan.motion(0.5 * (t[1:] + t[:-1]))[1]
     np.testing.assert_allclose(np.diff(plan.motion(t)[0]) / np.diff(t), middle, atol=0.06)  # the speed is its rate
-
-
-def test_samples_of_a_scenario_hold_what_follows_from_them():
-    world = World.of(DualTrack(CAR), MPC(CAR, period=0.05), "paper", None, None, None)
-    signals = load_scenario("triple-lane-change").sample(0.05)
-    rows = world.samples(signals, 0)
-    np.testing.assert_array_equal(rows[SIGNAL.y_ref], signals.y_ref)
-    np.testing.assert_array_equal(rows[SIGNAL.known_friction], signals.friction.mean(axis=1))
-    np.testing.assert_array_equal(rows[SIGNAL.known_wind], signals.wind[:, 1])
-    ahead = np.array([np.abs(signals.y_ref[k : k + 61] - signals.y_ref[k]).max() for k in range(signals.n + 1)])
-    inside = slice(0, signals.n - 60)
-    np.testing.assert_array_equal(rows[SIGNAL.change, inside], ahead[inside])
 
 
 def test_a_bank_pulls_and_a_bend_is_acceleration_ahead():

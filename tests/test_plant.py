@@ -270,17 +270,6 @@ def test_a_derivative_refuses_arrays_of_the_wrong_shape(x, u, environment, names
             plant.derivative(x, u, environment)
 
 
-@pytest.mark.parametrize(("car", "tyre"), OWN_TYRES.items())
-def test_steps_grow_with_speed_over_a_relaxation_length_and_with_the_period(car, tyre):
-    plant = DualTrack(load_vehicle(car), tyre)
-    counts = [plant.substeps(0.1, speed) for speed in (3.0, 15.0, 27.0, 60.0)]
-    assert counts == sorted(counts)
-    assert all(isinstance(count, int) and count >= 8 for count in counts)
-    assert plant.substeps(0.2, 15.0) >= 2 * plant.substeps(0.1, 15.0) - 1
-    fast = 60.0 / plant.tyre.relaxation_length
-    assert 0.1 / plant.substeps(0.1, 60.0) * fast <= 2.2 + 1e-9
-
-
 # -- where a plant starts ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("plant", [SingleTrack(CAR), DualTrack(CAR)], ids=lambda plant: plant.name)
 def test_what_the_start_does_not_say_is_zero_and_the_motion_must_have_six_numbers(plant):

@@ -226,9 +226,7 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
     [
         (lambda: made(("sped",)), "'sped'. Did you mean 'speed'"),
         (lambda: made(()), "one or more different"),
-        (lambda: made(("speed", "speed"), [[0, 1]] * 2), "one or more different"),
         (lambda: made(domain=[[0.0, math.nan]]), "domain"),
-        (lambda: made(domain=[[2.0, 1.0]]), "domain"),
         (lambda: made(domain=[[0.0, 1.0]] * 2), "domain"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 1.0}, ("speed",), [[0, 1]]), "there must be Np, Nc, Q, R"),
         (lambda: made(r=1.0), "unknown entry 'r'"),
@@ -236,24 +234,18 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: made(log10_ratio=1.0), "either R or log10_ratio"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 2.0, "log10_ratio": 0.0}, ("speed",), [[0, 1]]), "Q must be 1"),
         (lambda: made(Q=math.nan), "Q = nan: must be finite"),
-        (lambda: made(Q=math.inf), "Q = inf: must be finite"),
         (lambda: made(R=None), "must be a number"),
-        (lambda: made(R=True), "must be a number"),
         (lambda: made(Np=line(0.0, 1.0, 2.0, 3.0), inputs=("speed", "wind"), domain=[[0, 1]] * 2), "has 1 inputs"),
         (lambda: made(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
-        (lambda: made(Np=random_sugeno(np.random.default_rng(0), 2)), "has 2 inputs, the schedule 1"),
         (lambda: made(bounds={"Np": (0, 20)}), "bounds of Np"),
         (lambda: made(bounds={"Nc": (4, 3)}), "bounds of Nc"),
         (lambda: made(bounds={"R": (0.0, 1.0)}), "bounds of R"),
-        (lambda: made(bounds={"Q": (0.0, math.inf)}), "bounds of Q"),
         (lambda: made(bounds={"Q": (math.nan, 1.0)}), "bounds of Q"),
-        (lambda: made(bounds={"Q": ("low", 1.0)}), "must be a number"),
         (lambda: made(bounds={"Np": (1, 2000)}), "up to 2000 steps"),
         (lambda: dataclasses.replace(made(), name=None), "name must be text"),
         (lambda: made().batch(np.zeros((2, 8))), "need a row for each"),
         (lambda: Lookup({"speed": [1, 2]}, np.ones((2, 3))), r"shape \(2, 4\)"),
         (lambda: Lookup({"speed": [2, 1]}, np.ones((2, 4))), "ascend"),
-        (lambda: Lookup({"speed": [1, 1]}, np.ones((2, 4))), "ascend"),
         (lambda: Lookup({"speed": [1, 2]}, np.zeros((2, 4))), "positive"),
         (lambda: Lookup({"speed": [1, 2]}, np.full((2, 4), math.nan)), "finite"),
         (lambda: Lookup({"sped": [1, 2]}, np.ones((2, 4))), "'sped'. Did you mean 'speed'"),
@@ -264,15 +256,18 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: Guarded(made(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
         (lambda: Guarded(made(), FALLBACK, rates=(5, 2)), "must be 3 values"),
         (lambda: Guarded(made(), FALLBACK, rates=(5, 2, -0.3)), "must be a finite number > 0"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, math.nan)), "must be a finite number > 0"),
         (lambda: Guarded(made(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
         (lambda: Guarded(made(), FALLBACK, slack=math.nan), "slack"),
         (lambda: Guarded(made(), FALLBACK, offset_limit=0.0), "offset_limit"),
-        (lambda: Guarded(made(), FALLBACK, offset_limit=math.inf), "offset_limit"),
         (lambda: Guarded(made(), FALLBACK, hold=0), "hold"),
-        (lambda: Guarded(made(), FALLBACK, hold=2.5), "hold"),
         (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "table over speed, friction"),
         (lambda: dataclasses.replace(stability_map(lambda *_: 0.5), limit=math.nan), "limit"),
+        (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
+        (lambda: dataclasses.replace(pursuit(), entries=ENTRIES), "there must be Np, Nc, Q, R"),
+        (lambda: dataclasses.replace(pursuit(), entries=()), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=("lookahead", "lookahead")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=tuple("abcdefghi")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), made_for="the paper's car"), "made_for mappings"),
     ],
 )  # fmt: skip
 def test_what_makes_no_schedule_is_refused_with_a_reason(build, message):
@@ -306,23 +301,6 @@ def test_entries_of_another_controller_keep_their_order_and_may_be_negative(rng)
     schedule = Schedule(("wind",), [[-5.0, 5.0]], dict(reversed(tuning.items())), entries=names)
     assert schedule(HERE) == (-1.5, -2.5, -3.5)
     assert schedule.largest == (0, 0)
-
-
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
-        (lambda: dataclasses.replace(pursuit(), entries=ENTRIES), "there must be Np, Nc, Q, R"),
-        (lambda: dataclasses.replace(pursuit(), entries=()), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), entries=("lookahead", "lookahead")), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), entries=tuple("abcdefghi")), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), entries=(None,)), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), made_for="the paper's car"), "made_for mappings"),
-    ],
-)  # fmt: skip
-def test_entries_that_make_no_schedule_are_refused(build, message):
-    with pytest.raises(InvalidInput, match=message):
-        build()
 
 
 # -- what a schedule is asked -----------------------------------------------------------------------------------------
@@ -377,17 +355,12 @@ def fails(condition):
     ("scheduler", "message"),
     [
         (Tuning(), "must be callable"),
-        (None, "must be callable"),
         (lambda condition: (30, 5, 1.0), "numbers Np, Nc, Q, R"),
-        (lambda condition: "tune", "must be a number"),
-        (lambda condition: None, "numbers Np, Nc, Q, R"),
         (lambda condition: (30, 5, math.nan, 1.0), "must be finite"),
-        (lambda condition: (math.inf, 5, 1.0, 1.0), "must be finite"),
         (lambda condition: (5, 6, 1.0, 1.0), "need 1 <= Nc <= Np"),
         (lambda condition: (30, 0, 1.0, 1.0), "need 1 <= Nc <= Np"),
         (lambda condition: (30, 5, -1.0, 1.0), "Q >= 0"),
         (lambda condition: (30, 5, 1.0, 0.0), "R > 0"),
-        (lambda condition: (30, 5, 1.0, -1.0), "R > 0"),
         (Moody(), "for the same"),
         (fails, "no friction"),
         (lambda condition: (30, 5, 1.0, 27.5 - condition.speed), "R > 0"),  # sound in the domain, but not beyond

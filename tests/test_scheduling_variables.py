@@ -28,20 +28,8 @@ def test_what_may_be_left_out_at_the_end_is_zero():
 
 @pytest.mark.parametrize(
     "values",
-    [
-        [],
-        [15.0, 1.0, 0.8],
-        np.zeros(8),
-        None,
-        15.0,
-        "1234",
-        ["15"] * 7,
-        [None] * 7,
-        [10**400] * 7,
-        np.zeros((4, 4)),
-        [[]] * 4,
-    ],
-    ids=range(11),
+    [[], [15.0, 1.0, 0.8], np.zeros(8), None, 15.0, "1234", ["15"] * 7, [10**400] * 7, np.zeros((4, 4))],
+    ids=str,
 )
 def test_missing_variables_and_what_is_no_number_are_refused(values):
     with pytest.raises(InvalidInput, match="need 7 numbers, speed, y_ref"):

@@ -6,7 +6,6 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
-from scipy.linalg import solve_discrete_are
 from scipy.optimize import brentq
 
 from adaptrack import (
@@ -52,7 +51,6 @@ from adaptrack.drive.simulate import rollout
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import RunSet
-from textbook_filter import TextbookFilter
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
@@ -264,55 +262,6 @@ def knowing(lag=0.15, dead_time=0.05, noise=SENSORS["road"], moves=None):
         estimator=KalmanFilter(noise, settling=math.inf),
         moves=moves,
     )
-
-
-def steady_gain(textbook, speed, noise):
-    """K of the filter in the end, by the algebraic Riccati equation, and the rows that it reads."""
-    f, _ = textbook.matrices(speed, 0.05)
-    read = np.zeros((5, len(f)))
-    for row, name in enumerate(("vy", "yaw", "yaw_rate", "y", "wheel_angle")):
-        if name in textbook.model.states and math.isfinite(getattr(noise, name)):
-            read[row, textbook.model.states.index(name)] = 1.0
-    heard = read.any(axis=1)
-    h, r = read[heard], np.diag(textbook.own.variances()[:5][heard])
-    p = solve_discrete_are(f.T, h.T, textbook.Q, r)
-    gain = np.zeros((len(f), 5))
-    gain[:, heard] = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
-    return gain, read
-
-
-def written_out(mpc, noise, speed, measured, commands):
-    """xi of every instant for measurements (n, 5) and commands: the filter's equations, its gain by Riccati's."""
-    textbook = TextbookFilter(mpc.estimator, mpc.model)
-    gain, read = steady_gain(textbook, speed, noise)
-    textbook.z, textbook.sent = np.zeros(textbook.n + 2), [0.0] * (textbook.whole + 2)
-    textbook.P = np.zeros((len(gain), len(gain)))
-    a, b, _ = mpc.model.discrete(speed)
-    f, _ = textbook.matrices(speed, 0.05)
-    commands_expected, last = [], 0.0
-    for sample, command in zip(measured, commands, strict=True):
-        textbook.sent = [last, *textbook.sent[:-1]]
-        textbook.predict(speed)
-        textbook.z = textbook.z + gain @ (sample * read.any(axis=1) - read @ textbook.z)
-        x, d = textbook.ahead(speed)[: textbook.n], f[: textbook.n, textbook.n :] @ textbook.z[textbook.n :]
-        commands_expected.append([*(a @ x + b[:, 0] * last + d - x), x[-1]])
-        last = command
-    return np.array(commands_expected)
-
-
-@pytest.mark.parametrize("noise", SENSORS.values(), ids=list(SENSORS))
-@pytest.mark.parametrize(("lag", "dead_time"), [(0.15, 0.05), (0.2, 0.13), (0.0, 0.0)])
-def test_the_linear_estimator_is_the_filter_with_the_gain_of_riccatis_equation(lag, dead_time, noise):
-    rng, mpc = np.random.default_rng(8), knowing(lag, dead_time, noise)
-    measured, commands = 1e-3 * rng.normal(size=(60, 5)), 1e-3 * rng.normal(size=60)
-    for speed in (4.0, 22.0):
-        estimator, angles = linear_estimator(mpc, speed), []
-        s = np.zeros(len(estimator.a))
-        for m, u in zip(measured, commands, strict=True):
-            angles.append(estimator.c @ s + estimator.d @ given(m))
-            s = estimator.a @ s + estimator.e @ given(m) + estimator.f * u
-        expected = written_out(mpc, noise, speed, measured, commands)
-        np.testing.assert_allclose(angles, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
 def as_measured(speed, measured, command, a, b, parameters, memory, x, d):
