@@ -130,7 +130,7 @@ NAME = """((each) => each === document.body ? "body" : `${each.id || each.datase
 
 
 def differing(columns: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> dict[str, int]:
-    """How many numbers of a drive of the page differ in any bit from those of Python (`page_drives.driven`), by column."""
+    """By column, how many numbers of a drive of the page differ in any bit from those of Python."""
     count, differences = len(expected["x"]), {}
     for name, values in expected.items():
         column = np.ascontiguousarray(columns[name][:count])
