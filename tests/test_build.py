@@ -246,6 +246,9 @@ CALLS = """
 target datalayout = "e"
 target triple = "any"
 declare double @NAME(double)
+declare double @adaptrack_soft_fma(double, double, double)
+declare double @adaptrack_soft_floor(double)
+declare double @adaptrack_soft_ceil(double)
 define double @adaptrack_kalman(double %x) {
     %y = call double @NAME(double %x)
     ret double %y
@@ -259,6 +262,13 @@ def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
         emit_export(CALLS.replace("NAME", "cbrt"), name)
     if name == "cortex-m7":
         assert undefined(emit_export(CALLS.replace("NAME", "__aeabi_l2d"), name)) == ["__aeabi_l2d"]
+
+
+@pytest.mark.parametrize("name", emission.TARGETS)
+def test_a_library_that_calls_what_it_lacks_is_refused(name):
+    content = emission.emit(CALLS.replace("NAME", "cbrt"), name)
+    with pytest.raises(builder.BuildError, match=f"the kernels for {name} call .*cbrt"):
+        builder.finished(name, [content])
 
 
 def test_every_kernel_that_a_program_may_call_is_there():

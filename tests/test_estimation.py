@@ -332,18 +332,6 @@ def test_estimates_stay_within_their_bounds():
         assert np.abs(estimates[:, 1]).max() <= 5.0
 
 
-def test_slots_do_not_touch_each_other():
-    estimator = FrictionWindEstimator.of(DualTrack(CAR))
-    p, settings, memory = estimator.packed(), estimator.settings(), kernel.Memory.new(3)
-    memory[[0, 2]] = untouched = np.full(memory.itemsize // 8, 7.0).view(memory.dtype)
-    for k in range(30):
-        sample = np.array([0.1 * math.sin(0.3 * k), 0.01, 0.1 * math.cos(0.2 * k), 0.0])
-        kernel.estimate(1, sample, 15.0, 0.02, math.nan, p, settings, memory)
-        alone = estimator.step(sample, 15.0, 0.02)
-    assert (memory[[0, 2]] == untouched).all()
-    assert tuple(memory[1][["friction", "wind", "friction_std", "wind_std"]]) == alone[:4]
-
-
 # -- the door ---------------------------------------------------------------------------------------------------------
 def test_the_scheduler_knows_the_estimates():
     calls = []

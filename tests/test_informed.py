@@ -361,18 +361,6 @@ def test_the_qp_predicts_what_the_model_does_from_the_estimate(dead_time, rng):
 
 
 @pytest.mark.compiled
-def test_a_constant_side_wind_leaves_no_offset():
-    calm = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
-    run = simulate(
-        DualTrack(CAR, "magic-formula"), MPC(CAR, profile=calm), load_scenario("step", amplitude=0.0, wind=15.0),
-        profile=calm,
-    )  # fmt: skip
-    error = run.error
-    assert abs(error).max() > 0.01
-    assert abs(error[-40:].mean()) < 1e-3
-
-
-@pytest.mark.compiled
 def test_one_constant_drives_either_car_in_noise_lag_and_delay():
     """Near the limit of grip the paper's car, on its slow tyres, is lost in about one random drive of 150."""
     drives = [random_drive(4_000_000 + number) for number in range(16)]

@@ -16,13 +16,9 @@ from adaptrack.core.kernel import (
     Setting,
     copier,
     defaults,
-    float64,
-    inlined,
-    local,
     record,
     size_of,
     vector,
-    viewer,
     void,
 )
 from adaptrack.core.member import member
@@ -30,9 +26,6 @@ from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road
 from inlined import entry
 
-INNER = record("INNER", ("x", "y"))
-OUTER = record("OUTER", ["a", ("inner", INNER), ("row", (float64, 3)), ("square", (float64, 2, 2)), "b"])
-outer_at, square = viewer(OUTER), local(2, 2)
 needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
 
 
@@ -83,48 +76,6 @@ def test_a_member_that_raises_leaves_nothing_that_counts():
     assert out.tolist() == [1.0, 0.0]
     function(np.array([1.0]), out)
     assert np.isnan(out).all()
-
-
-# -- parts of vectors, and small arrays -------------------------------------------------------------------------------
-@inlined
-def written_by_name(values):
-    """Write every field of the record that lies at place 2."""
-    m = outer_at(values, 2)
-    m.a, m.inner.x, m.inner.y, m.b = 1.0, 2.0, 3.0, 11.0
-    for i in range(3):
-        m.row[i] = 4.0 + i
-    for i in range(2):
-        for j in range(2):
-            m.square[i, j] = 7.0 + 2 * i + j
-    return m.square[1, 0] + m.inner.y
-
-
-@inlined
-def filled(x):
-    """The sum of a small array, filled anew at each of three rounds."""
-    total = 0.0
-    for _ in range(3):
-        z = square()
-        for i in range(2):
-            total += z[0, i] + z[1, i]  # zero, whatever the round before has left
-            z[1, i] = x
-        total += z[1, 0] + z[1, 1] + z[0, 0]
-    return total
-
-
-def test_the_parts_of_a_vector_are_read_and_written_by_name():
-    values = np.zeros(16)
-    assert entry(written_by_name)(values) == 12.0
-    assert size_of(OUTER) == 11
-    assert values.tolist() == [0.0, 0.0, *range(1, 12), 0.0, 0.0, 0.0]
-    m = outer_at(values, 2)
-    assert (m.a, m.inner.x, m.row.tolist(), m.square.tolist()) == (1.0, 2.0, [4.0, 5.0, 6.0], [[7.0, 8.0], [9.0, 10.0]])
-    m.inner.x, m.row[1] = -1.0, -2.0
-    assert (values[3], values[6]) == (-1.0, -2.0)
-
-
-def test_a_small_array_is_zero_at_each_call():
-    assert entry(filled)(5.0) == 30.0
 
 
 # -- the library ------------------------------------------------------------------------------------------------------

@@ -20,8 +20,6 @@ from adaptrack.core.plants.contract import SLOTS, STATE
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
-from adaptrack.export.page_inputs import page_car
-from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
 from pages import differing
 from programs import find_program
@@ -115,23 +113,6 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     assert len(cars) == len(expected)
     assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
     assert [len(car["x"]) for car in cars] == [len(there["x"]) for there in expected]
-
-
-@pytest.mark.slow
-def test_files_that_are_dropped_are_driven_as_the_package_reads_them(ask):
-    points = np.array(page_drives.WAVE["points"])
-    table = "x,y\n" + "".join(f"{x},{y}\n" for x, y in points.tolist())
-    car = at.load_vehicle("van").replace(steering=at.Steering(lag=0.2, dead_time=0.08))
-    texts = {"car file": json.dumps({"page_car": page_car(car)}), "csv": table}
-    read = ask(*({"type": "read", "id": kind, "what": kind, "text": text} for kind, text in texts.items()))
-    assert refused(read) == []
-    read_car, road = read[1]["car"], {"points": read[2]["points"], "closed": False}
-    setup = page_drives._setup({"file": read_car}, road, {"lateral": 2.5}, "road", "informed", seed=8)
-    way = at.road_through(points)
-    drive_of = at.RoadDrive(way, at.plan_speed(way, car, Comfort(lateral=2.5)))
-    expected = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), drive_of, profile="road", seed=8)
-    (columns,) = frames(ask(*drive(setup)))
-    assert differing(columns, page_drives.columns_of(expected)) == {}
 
 
 # -- what is touched while it drives ----------------------------------------------------------------------------------

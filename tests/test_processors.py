@@ -61,29 +61,6 @@ def test_a_library_leaves_nothing_undefined():
     assert {name: undefined(path.read_bytes()) for name, path in paths.items()} == {name: [] for name in paths}
 
 
-def test_a_kernel_that_calls_what_the_library_lacks_is_refused_in_words():
-    text = """
-        target datalayout = "e"
-        target triple = "any"
-        declare double @cbrt(double)
-        declare double @adaptrack_soft_fma(double, double, double)
-        declare double @adaptrack_soft_floor(double)
-        declare double @adaptrack_soft_ceil(double)
-        define double @adaptrack_root(double %x) {
-            %y = call double @cbrt(double %x)
-            ret double %y
-        }
-    """
-    pytest.importorskip("llvmlite", reason="what builds the library")
-    from adaptrack.core.build import emission
-    from adaptrack.core.build.library import finished
-
-    for name in emission.TARGETS:
-        content = emission.emit(text, name)
-        with pytest.raises(emission.BuildError, match=f"the kernels for {name} call .*cbrt"):
-            finished(name, [content])
-
-
 # -- what is called ---------------------------------------------------------------------------------------------------
 def elementary(rng):
     """All elementary functions on every combination of special arguments, and on many others."""

@@ -185,11 +185,6 @@ def test_horizons_are_rounded_halves_upwards_and_weights_are_not():
     assert drive(speed=1.0)[:2] == [21.0, 3.0]
 
 
-def test_the_control_horizon_never_exceeds_the_prediction_horizon():
-    drive = Drive(speedy(Np=line(0.0, 20.0, 3.0, 23.0), Nc=8.0))
-    assert [drive(speed=speed)[1] for speed in (0.0, 2.0, 5.0, 15.0)] == [3.0, 5.0, 8.0, 8.0]
-
-
 def test_values_are_held_within_the_bounds_of_their_entry():
     bounds = {"Np": (10, 25), "Nc": (2, 4), "Q": (0.5, 2.0), "R": (1.0, 10.0)}
     wild = {name: line(0.0, 20.0, -1e3, 1e3) for name in ENTRIES}

@@ -20,7 +20,7 @@ from adaptrack.drive.failure import Failure, Reason, find_failure
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import Driver
 from adaptrack.scenario import Knots, Scenario, load_scenario
-from adaptrack.scenario.profile import Profile, load_profile
+from adaptrack.scenario.profile import load_profile
 from references.daqp import Daqp
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
@@ -392,20 +392,6 @@ def test_what_a_scheduler_knows_is_the_same_in_both_drivers_and_in_batches(condi
 
 
 # -- what the profile stands for --------------------------------------------------------------------------------------
-def test_a_delay_shifts_the_steering_by_one_period():
-    delayed = Profile(name="delayed", steering=SteeringActuator.ideal(), delay=1)
-    run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), SHORT, profile=delayed)
-    assert run.steering[0] == 0.0
-    assert np.array_equal(run.steering[1:], run.command[:-1])
-    prompt = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), SHORT)
-    assert np.array_equal(prompt.steering, prompt.command)
-
-
-def test_the_road_profile_steers_no_faster_than_its_actuator():
-    run = simulate(SingleTrack(CAR), published_mpc(CAR), SHORT, profile="road", seed=5)
-    assert np.abs(np.diff(run.steering)).max() <= ROAD.steering.rate * run.period * (1 + 1e-9)
-    assert np.abs(run.steering).max() <= ROAD.steering.limit
-    assert np.abs(np.diff(run.command)).max() > ROAD.steering.rate * run.period  # the controller asked for more
 
 
 def test_a_plants_own_actuator_stands_before_the_profiles():

@@ -159,6 +159,8 @@ def test_what_has_no_linear_loop_is_refused():
         sampled(Stepped(), 0.05, 15.0)
     with pytest.raises(InvalidInput, match=r"2 periods before it is given"):
         sampled(PLANT, 0.05, 15.0, profile="paper", delay=-0.1)
+    with pytest.raises(InvalidInput, match="its samples are late"):
+        sampled(PLANT, 0.05, 15.0, profile="production")
     feels = MPC(
         CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))
     )
@@ -336,6 +338,7 @@ def test_a_mismatch_is_the_plant_with_those_numbers():
         Mismatch(lag=0.1): (PLANT, slow, 0.0),
         Mismatch(dead_time=0.07): (PLANT, ROAD, 0.07),
         Mismatch(dead_time=-0.05): (PLANT, ROAD.replace(delay=0.0), 0.0),
+        Mismatch(dead_time=0.02): (PLANT, ROAD.replace(steering=ROAD.steering.replace(dead_time=0.02)), 0.0),
     }.items():
         model = by.sampled(PLANT, 0.05, 18.0, friction=0.6, profile=ROAD)
         expected = sampled(plant, 0.05, 18.0, friction=0.6, profile=world, delay=late)
@@ -352,15 +355,6 @@ def test_a_mismatch_that_means_nothing_is_refused():
     with pytest.raises(InvalidInput, match="second plant"):
         Mismatch(mass=1.3).sampled(mine, 0.05, 18.0)
     assert Mismatch(lag=0.1).sampled(mine, 0.05, 18.0).b.shape == (5,)
-
-
-def test_a_dead_time_of_the_actuator_is_delay_for_the_loop_and_late_samples_are_refused():
-    steering = ROAD.steering.replace(dead_time=0.07)
-    delayed = sampled(PLANT, 0.05, 15.0, profile=ROAD.replace(steering=steering))
-    added = sampled(PLANT, 0.05, 15.0, profile=ROAD, delay=0.07)
-    np.testing.assert_array_equal(delayed.a, added.a)
-    with pytest.raises(InvalidInput, match="its samples are late"):
-        sampled(PLANT, 0.05, 15.0, profile="production")
 
 
 # -- maps -------------------------------------------------------------------------------------------------------------
