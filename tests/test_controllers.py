@@ -417,19 +417,18 @@ def remembers():
     return law
 
 
-def unlimited(self, state, speed, reference, variables=None):
-    angle = 3.0 if state[3] < -0.5 else 0.0
-    move, self.last = angle - self.last, angle
-    return Command(angle, move, False, (), {})
+def jump_to(angle):
+    """A controller whose step leaps to an angle (rad), whatever the limits are."""
+
+    class Jumping(InPython):
+        def step(self, state, speed, reference, variables=None):
+            move, self.last = (angle if state[3] < -0.5 else 0.0) - self.last, angle if state[3] < -0.5 else 0.0
+            return Command(self.last, move, False, (), {})
+
+    return Jumping()
 
 
-def jumpy(self, state, speed, reference, variables=None):
-    angle = 0.5 if state[3] < -0.5 else 0.0
-    move, self.last = angle - self.last, angle
-    return Command(angle, move, False, (), {})
-
-
-def writing(self, state, speed, reference, variables=None):
+def writing(state, speed, reference, variables=None):
     state.flags.writeable = True
     state[0] += 1.0
     return Command(0.0, 0.0, False, (), {})
@@ -451,9 +450,9 @@ BROKEN = {
     "the mirrored situation must give the mirrored command": InPython(law=lambda *_: 0.01),
     "a command must be finite": InPython(step=lambda *_: Command(math.nan, 0.0, False, (), {})),
     "`move` must be the change of `angle`": InPython(step=lambda *_: Command(0.0, 0.1, False, (), {})),
-    "must keep the limits on the angle": type("Unlimited", (InPython,), {"step": unlimited})(),
-    "must keep the limits on the move": type("Jumpy", (InPython,), {"step": jumpy})(),
-    "must not write to its arguments": type("Writing", (InPython,), {"step": writing})(),
+    "must keep the limits on the angle": jump_to(3.0),
+    "must keep the limits on the move": jump_to(0.5),
+    "must not write to its arguments": InPython(step=writing),
 }
 
 

@@ -22,39 +22,27 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
 from programs import find_program
+from small_cars import PARAMETERS, linear_car
 
 pytestmark = pytest.mark.skipif(INTERPRETED, reason="interpreted kernels call functions of one's own as they are")
 
 CAR = load_vehicle("midsize-sedan")
-NUMBERS = {"mass": 1575.0, "inertia": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 38e3, "cr": 66e3}
 C_PLANT = """
 #include <math.h>
 #include <stdint.h>
 void right_hand_side(const double *x, int64_t nx, const double *u, int64_t nu, const double *environment, int64_t ne,
                      const double *p, int64_t np, double *dx, int64_t ndx) {
     double v = x[3] > 1.0 ? x[3] : 1.0;
-    double front = p[4] * (u[0] - (x[4] + p[2] * x[5]) / v), rear = -p[5] * (x[4] - p[3] * x[5]) / v;
+    double front = 2.0 * p[4] * environment[0] * (u[0] - (x[4] + p[2] * x[5]) / v);
+    double rear = -2.0 * p[5] * environment[2] * (x[4] - p[3] * x[5]) / v;
     dx[0] = x[3] * cos(x[2]) - x[4] * sin(x[2]);
     dx[1] = x[3] * sin(x[2]) + x[4] * cos(x[2]);
     dx[2] = x[5];
-    dx[3] = u[1] / p[0];
-    dx[4] = (front + rear) / p[0] - x[3] * x[5];
+    dx[3] = u[1] / p[0] + x[4] * x[5];
+    dx[4] = (front + rear + p[6] * environment[5]) / p[0] - x[3] * x[5];
     dx[5] = (p[2] * front - p[3] * rear) / p[1];
 }
 """
-
-
-def right_hand_side(x, u, environment, p, dx):
-    mass, inertia, lf, lr, cf, cr = p[0], p[1], p[2], p[3], p[4], p[5]
-    v = max(x[3], 1.0)
-    front = cf * (u[0] - (x[4] + lf * x[5]) / v)
-    rear = -cr * (x[4] - lr * x[5]) / v
-    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
-    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
-    dx[2] = x[5]
-    dx[3] = u[1] / mass
-    dx[4] = (front + rear) / mass - x[3] * x[5]
-    dx[5] = (lf * front - lr * rear) / inertia
 
 
 def law(situation, reference, road, tuning, parameters, memory, answer):
@@ -85,15 +73,15 @@ def compiled():
     """Where the compiled plant goes."""
     if not library.can_compile():
         pytest.skip("needs numba")
-    return path_of(UserPlant(right_hand_side, NUMBERS, mass=1575.0))
+    return path_of(UserPlant(linear_car, PARAMETERS, mass=1575.0))
 
 
 def test_a_plant_that_is_called_back_drives_as_the_compiled_one(compiled, no_compiler):
-    assert path_of(UserPlant(right_hand_side, NUMBERS, mass=1575.0)) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
+    assert path_of(UserPlant(linear_car, PARAMETERS, mass=1575.0)) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
 
 
 def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypatch):
-    plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
+    plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
     ours = path_of(plant, UserController(law, memory_size=1))
     monkeypatch.setattr(library, "can_compile", lambda: False)
     function = member(law, void(vector, vector, RoadAhead, vector, vector, vector, vector))
@@ -104,8 +92,8 @@ def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypa
 
 
 def test_many_runs_ask_for_a_compiler_by_its_command(no_compiler):
-    plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
-    with pytest.raises(MissingExtra, match=r"right_hand_side: .*pip install 'adaptrack\[compile\]'"):
+    plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
+    with pytest.raises(MissingExtra, match=r"linear_car: .*pip install 'adaptrack\[compile\]'"):
         rollout_batch(plant, MPC(CAR, profile="road"), load_scenario("lane-change"))
 
 
@@ -140,7 +128,7 @@ def test_a_plant_in_c_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled):
     command = [find_program("gcc"), "-O2", "-shared", "-fPIC", "-lm", "plant.c", "-o", "plant.so"]
     subprocess.run(command, cwd=tmp_path, check=True)
     function = CFunction(str(tmp_path / "plant.so"), "right_hand_side")
-    plant = UserPlant(pickle.loads(pickle.dumps(function)), NUMBERS, mass=1575.0)
+    plant = UserPlant(pickle.loads(pickle.dumps(function)), PARAMETERS, mass=1575.0)
     assert path_of(plant) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
     runs = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
     assert not runs.failed[0]

@@ -20,6 +20,7 @@ from adaptrack.cars.plant import (
 )
 from adaptrack.cars.vehicle import SteeringActuator, list_tyres, list_vehicles, load_vehicle
 from adaptrack.core.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
+from small_cars import PARAMETERS, linear_car
 
 pytestmark = pytest.mark.kernels
 
@@ -27,20 +28,6 @@ CAR = load_vehicle("paper")
 
 
 # -- one's own plant --------------------------------------------------------------------------------------------------
-def linear_car(x, u, environment, p, dx):
-    """Eq. (6), its wheels pushed by m, I_z, l_f, l_r, C_f, C_r, and a side wind of p[6] N per m/s."""
-    speed = max(x[3], 1.0)
-    front = 2.0 * p[4] * environment[0] * (u[0] - (x[4] + p[2] * x[5]) / speed)
-    rear = -2.0 * p[5] * environment[2] * (x[4] - p[3] * x[5]) / speed
-    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
-    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
-    dx[2] = x[5]
-    dx[3] = u[1] / p[0] + x[4] * x[5]
-    dx[4] = (front + rear + p[6] * environment[5]) / p[0] - x[3] * x[5]
-    dx[5] = (p[2] * front - p[3] * rear) / p[1]
-
-
-PARAMETERS = {"mass": 1575.0, "inertia": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 19000.0, "cr": 33000.0, "wind": 5.0}
 
 
 def user_plant(right_hand_side=linear_car, **fields):
@@ -135,6 +122,12 @@ def test_a_users_plant_is_told_the_prescribed_acceleration(steering):
             vehicles.member, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, 1, 4, 0.05
         )
         assert vehicles.states[0, [3, 6, 7]] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("mass", "power"), [(-1.0, 1e5), (math.nan, 1e5), (1000.0, -5.0)])
+def test_a_users_plant_refuses_an_impossible_powertrain(mass, power):
+    with pytest.raises((InvalidInput, ContractError)):
+        UserPlant(linear_car, PARAMETERS, mass=mass, engine_power=power)
 
 
 def test_the_longest_step_makes_more_steps_of_a_longer_period():

@@ -88,38 +88,42 @@ def test_a_solution_carries_its_residuals(name, rng):
     assert solution.message
 
 
-def test_a_result_that_its_residuals_contradict_is_not_solved(rng):
-    class Boaster(ActiveSet):
-        name = "boaster"
+class Answering(QPSolver):
+    """A solver that gives the same attempt for every problem."""
 
-        def attempt(self, qp, warm_start=None):
-            return Attempt(QPStatus.SOLVED, np.ones(qp.n), np.zeros(qp.m), 1)
+    name = "answering"
 
-    solution = Boaster().solve(QP(*drawn_problem(rng, 5, 15)))
-    assert solution.status is QPStatus.CAPPED
-    assert not solution.usable
-    assert "boaster reported a solution" in solution.message
-
-
-class _Askew(QPSolver):
-    """Misses the solution of `ill_conditioned_problem` by 3e-3 rad, along which E has its least eigenvalue."""
-
-    name = "askew"
+    def __init__(self, attempt, **options):
+        super().__init__(**options)
+        self.answer = attempt
 
     def attempt(self, qp, warm_start=None):
-        _, x = ill_conditioned_problem()
-        lam = np.zeros(qp.m)
-        lam[[0, 3, 10]] = 2.0, 0.5, 1.0
-        return Attempt(QPStatus.SOLVED, x + np.array([0.0, 3e-3, -2e-3, 0.0, 0.0, 0.0]), lam, 1)
+        return self.answer
+
+
+def askew(**options):
+    """Misses the solution of `ill_conditioned_problem` by 3e-3 rad, along which E has its least eigenvalue."""
+    qp, x = ill_conditioned_problem()
+    lam = np.zeros(qp.m)
+    lam[[0, 3, 10]] = 2.0, 0.5, 1.0
+    x = x + np.array([0.0, 3e-3, -2e-3, 0.0, 0.0, 0.0])
+    return Answering(Attempt(QPStatus.SOLVED, x, lam, 1), **options)
+
+
+def test_a_result_that_its_residuals_contradict_is_not_solved(rng):
+    boaster = Answering(Attempt(QPStatus.SOLVED, np.ones(5), np.zeros(15), 1), on_uncertified="hold")
+    solution = boaster.solve(QP(*drawn_problem(rng, 5, 15)))
+    assert (solution.status, solution.usable) == (QPStatus.CAPPED, False)
+    assert "answering reported a solution" in solution.message
 
 
 def test_small_residuals_alone_do_not_make_a_solution():
     qp, _ = ill_conditioned_problem()
-    solution = _Askew(on_uncertified="apply").solve(qp)
+    solution = askew(on_uncertified="apply").solve(qp)
     assert solution.residuals.worst < 1e-9
     assert solution.status is QPStatus.CAPPED
     assert "about 3.0e-03 rad from the true one" in solution.message
-    assert not _Askew(on_uncertified="hold").solve(qp).usable
+    assert not askew(on_uncertified="hold").solve(qp).usable
 
 
 def test_a_newton_step_measures_how_far_x_is_from_the_solution(rng):
@@ -155,27 +159,18 @@ def test_hildreth_refuses_options_without_meaning(options):
 
 
 # -- what is not certified --------------------------------------------------------------------------------------------
-class _Idle(QPSolver):
-    """Gives up at once, with an iterate."""
-
-    name = "idle"
-
-    def attempt(self, qp, warm_start=None):
-        return Attempt(QPStatus.CAPPED, np.full(qp.n, 0.5), np.zeros(qp.m), 3)
-
-
 def test_the_exact_method_finishes_what_a_solver_is_not_sure_of():
     qp, _ = ill_conditioned_problem()
-    solver = _Askew()
+    solver = askew()
     for count in (1, 2):
         solution = solver.solve(qp)
         assert solution.solved
         np.testing.assert_allclose(solution.x, ActiveSet().solve(qp).x, rtol=1e-12)
-        assert (solution.solver, solution.finished_by, solution.finishes) == ("askew", "active-set", count)
+        assert (solution.solver, solution.finished_by, solution.finishes) == ("answering", "active-set", count)
         assert "the exact method finished" in solution.message
 
 
-@pytest.mark.parametrize("solver", [Hildreth(), Daqp(), _Idle()])
+@pytest.mark.parametrize("solver", [Hildreth(), Daqp(), Answering(Attempt(QPStatus.INFEASIBLE))])
 def test_with_any_solver_no_step_of_a_controller_is_held(solver):
     car = load_vehicle("paper")
     ours, exact = (
@@ -191,13 +186,9 @@ def test_with_any_solver_no_step_of_a_controller_is_held(solver):
 
 
 def test_a_claim_of_infeasibility_is_not_believed(rng):
-    class Pessimist(_Idle):
-        def attempt(self, qp, warm_start=None):
-            return Attempt(QPStatus.INFEASIBLE)
-
-    qp = QP(*drawn_problem(rng, 5, 15))
-    assert Pessimist().solve(qp).solved
-    assert Pessimist(on_uncertified="apply").solve(qp).status is QPStatus.INFEASIBLE
+    qp, claim = QP(*drawn_problem(rng, 5, 15)), Attempt(QPStatus.INFEASIBLE)
+    assert Answering(claim).solve(qp).solved
+    assert Answering(claim, on_uncertified="apply").solve(qp).status is QPStatus.INFEASIBLE
 
 
 # -- the problem ------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack import Controller
-from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
 from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
@@ -22,6 +22,7 @@ from adaptrack.drive.world import Driver
 from adaptrack.scenario import Knots, Scenario, load_scenario
 from adaptrack.scenario.profile import load_profile
 from references.daqp import Daqp
+from small_cars import PARAMETERS, linear_car
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = [
@@ -63,26 +64,8 @@ def ramp(before, after, start, duration):
 
 
 # -- two drivers, one kernel ------------------------------------------------------------------------------------------
-
-
-def bicycle(x, u, environment, p, dx):
-    """A linear car with a roll angle of its own that nothing feels."""
-    speed = max(x[3], 1.0)
-    front = 2.0 * p[4] * (u[0] - (x[4] + p[2] * x[5]) / speed)
-    rear = -2.0 * p[5] * (x[4] - p[3] * x[5]) / speed
-    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
-    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
-    dx[2] = x[5]
-    dx[3] = u[1] / p[0] + x[4] * x[5]
-    dx[4] = (front + rear) / p[0] - x[3] * x[5]
-    dx[5] = (p[2] * front - p[3] * rear) / p[1]
-    dx[6] = 5.0 * ((front + rear) / p[0] - x[6])
-
-
-@functools.cache  # compiled once
 def users_car():
-    parameters = {"m": 1575.0, "iz": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 19000.0, "cr": 33000.0}
-    return UserPlant(bicycle, parameters, mass=1575.0, own_states=("roll",), label="bicycle")
+    return UserPlant(linear_car, PARAMETERS | {"wind": 0.0}, mass=1575.0, label="linear")
 
 
 @pytest.mark.compiled
@@ -557,12 +540,6 @@ def test_a_batch_refuses_what_does_not_fit(arguments):
     } | arguments
     with pytest.raises(InvalidInput):
         rollout_batch(**options)
-
-
-@pytest.mark.parametrize(("mass", "power"), [(-1.0, 1e5), (math.nan, 1e5), (1000.0, -5.0)])
-def test_a_users_plant_refuses_an_impossible_powertrain(mass, power):
-    with pytest.raises((InvalidInput, ContractError)):
-        UserPlant(bicycle, {}, mass=mass, engine_power=power)
 
 
 def test_a_run_starts_where_the_scenario_says():

@@ -243,18 +243,15 @@ def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(pr
 
 
 # -- the controller that knows its car --------------------------------------------------------------------------------
-SENSORS = {
-    "road": SensorNoise(),
-    "no lateral velocity": SensorNoise(vy=math.inf, yaw_rate=0.002, wheel_angle=0.002),
-}
+ROAD_SENSORS, WITHOUT_VY = SensorNoise(), SensorNoise(vy=math.inf, yaw_rate=0.002, wheel_angle=0.002)
 
 
-def given(measured):
+def sensed_row(measured):
     """What a controller is given: the states that are measured, and nothing of other sensors."""
     return np.append(measured, np.zeros(len(sensed()) - len(measured)))
 
 
-def knowing(lag=0.15, dead_time=0.05, noise=SENSORS["road"], moves=None):
+def knowing(lag=0.15, dead_time=0.05, noise=ROAD_SENSORS, moves=None):
     model = PathModel(CAR, 0.05, lag, dead_time)
     return MPC(
         CAR,
@@ -282,7 +279,7 @@ def with_estimator(of):
 
 
 @pytest.mark.parametrize("mpc", [
-    ROAD_MPC, knowing(), knowing(0.2, 0.13, SENSORS["no lateral velocity"]), knowing(moves=Moves.laguerre(0.8, 4)),
+    ROAD_MPC, knowing(), knowing(0.2, 0.13, WITHOUT_VY), knowing(moves=Moves.laguerre(0.8, 4)),
     with_estimator(UserEstimator(as_measured)),
     with_estimator(UserEstimator(smoothed, parameters={"share": 0.3}, memory_size=4)),
 ])  # fmt: skip
@@ -297,9 +294,9 @@ def test_the_law_gives_the_commands_of_the_controller(mpc):
     s = np.zeros(len(estimator.a))
     for _ in range(80):
         m = 1e-6 * rng.normal(size=5)
-        command = estimator.h @ s - gain @ (estimator.c @ s + estimator.d @ given(m))
+        command = estimator.h @ s - gain @ (estimator.c @ s + estimator.d @ sensed_row(m))
         assert mpc.step(m, speed, [0.0]).angle == pytest.approx(command, rel=1e-6, abs=1e-13)
-        s = estimator.a @ s + estimator.e @ given(m) + estimator.f * command
+        s = estimator.a @ s + estimator.e @ sensed_row(m) + estimator.f * command
 
 
 @pytest.mark.parametrize("name", ["published", "informed"])

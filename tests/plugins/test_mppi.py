@@ -11,7 +11,7 @@ import mppi
 import mppi_kernel as kernel
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
 from adaptrack.control.controllers import check_controller, get_controller
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.drive.simulate import rollout, simulate
@@ -162,20 +162,6 @@ def test_a_situation_that_is_not_finite_leaves_the_plan_as_it_is():
 def test_nonsense_is_refused_by_name(option, value):
     with pytest.raises(InvalidInput, match=option):
         MPPI(CAR, **{option: value})
-
-
-def test_it_believes_the_steering_of_the_profile():
-    mppi = MPPI(CAR, profile="production", **SMALL)
-    assert mppi.car.belief.delay == pytest.approx(0.1)
-    assert mppi.car.belief.lag.value == 0.2
-    assert SteeringActuator.ideal().lag == MPPI(CAR, profile="paper", **SMALL).car.belief.lag.value
-
-
-def test_a_computation_time_adds_to_the_dead_time():
-    late = MPPI(CAR, belief=Steering(lag=0.1, dead_time=0.1), computation=0.03, **SMALL)
-    assert late.car.belief.delay == pytest.approx(0.13)
-    with pytest.raises(InvalidInput, match="computation"):
-        MPPI(CAR, computation=-0.01)
 
 
 def test_without_numba_the_remedy_is_named(monkeypatch):
