@@ -1,67 +1,39 @@
 """The replay in a browser: it opens without errors, plays, and shows the car where it was."""
 
-import base64
-import hashlib
 import re
 
 import numpy as np
 import pytest
 
-import browser
 from adaptrack.results.drive import write_drive_page
-from browser import Served
+from browsers import Chromium
 from made_drives import bend, made_run, recorded
 
 pytestmark = pytest.mark.needs("chromium")
 
 INSTANTS = (2.0, 9.13, 17.5)
 
-COLLECT = """
-<script>
-const failures = [], found = {}, replay = window.adaptrackReplay;
-addEventListener("error", event => failures.push(String(event.message)));
-addEventListener("unhandledrejection", event => failures.push(String(event.reason)));
-const canvas = document.querySelector("#replay-view canvas");
+ASK = """(async () => {
+const found = {}, replay = window.adaptrackReplay, canvas = document.querySelector("#replay-view canvas");
 const part = name => document.querySelector(`#replay-view :is([data-replay="${name}"], [data-part="${name}"])`);
 const press = key => canvas.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
-const until = async true_now => { while (!true_now()) await new Promise(resolve => setTimeout(resolve, 20)); };
+const until = async condition => { while (!condition()) await new Promise(resolve => setTimeout(resolve, 20)); };
 function colourAt([x, y]) {
-  const one = new OffscreenCanvas(1, 1).getContext("2d"), dense = canvas.width / canvas.clientWidth;
-  one.drawImage(canvas, -Math.round(x * dense), -Math.round(y * dense));
-  return [...one.getImageData(0, 0, 1, 1).data];
+  const dot = new OffscreenCanvas(1, 1).getContext("2d"), dense = canvas.width / canvas.clientWidth;
+  dot.drawImage(canvas, -Math.round(x * dense), -Math.round(y * dense));
+  return [...dot.getImageData(0, 0, 1, 1).data];
 }
-addEventListener("load", async () => {
-  try {
-    %s
-  } catch (error) {
-    failures.push(String(error));
-  }
-  Object.assign(found, {failures, width: innerWidth, overflow: document.documentElement.scrollWidth - innerWidth});
-  await fetch("/found", {method: "POST", body: JSON.stringify(found)});
-});
-</script>
-"""
-
-
-def with_script(page, script):
-    """A page with one more script at its end, which its policy allows, and which may post what it has found."""
-    first, last = script.index("<script>") + len("<script>"), script.index("</script>")
-    digest = base64.b64encode(hashlib.sha256(script[first:last].encode()).digest()).decode()
-    assert page.count("default-src 'none'; script-src ") == 1
-    allowed = f"default-src 'none'; connect-src 'self'; script-src 'sha256-{digest}' "
-    return page.replace("default-src 'none'; script-src ", allowed).replace("</body>", script + "</body>")
+%s
+return {...found, width: innerWidth, overflow: document.documentElement.scrollWidth - innerWidth};
+})()"""
 
 
 def ask_page(path, script, width=1400, fragment=""):
-    """What `script` put into ``found``, at the end of the page at `path`, `width` pixels wide, in a browser."""
-    frame = (
-        f'<link rel="icon" href="data:,"><iframe src="/page{fragment}" width="{width}" height="900" frameborder="0">'
-    )
-    page = with_script(path.read_text(encoding="utf-8"), COLLECT % script)
-    pages = {"/": Served(f"<!doctype html>{frame}</iframe>"), "/page": Served(page)}
-    answer, messages = browser.ask(pages)
-    assert answer["failures"] == []
-    assert messages == []
+    """What `script` put into `found`, in the page at `path`, `width` pixels wide, which says nothing to the console."""
+    with Chromium((width, 900)) as window:
+        window.open(path.as_uri() + fragment)
+        answer = window.run(ASK % script)
+        assert window.said() == []
     return answer
 
 
@@ -233,13 +205,14 @@ def test_keys_slider_wheel_and_drag_do_what_they_say(page):
     assert all(name.strip() for name in answer["names"])
 
 
-def test_no_script_runs_but_the_replay(page):
+def test_no_script_runs_but_the_replay(page, tmp_path):
     written = "<script>window.evil = true;</script>"
-    text = page.read_text(encoding="utf-8").replace("</main>", written + "</main>")
-    answer, console = browser.ask({"/": Served(with_script(text, COLLECT % "found.evil = window.evil ?? null;"))})
-    assert answer["evil"] is None
-    assert answer["failures"] == []
-    assert any("Content Security Policy" in line for line in console)
+    other = tmp_path / "other.html"
+    other.write_text(page.read_text(encoding="utf-8").replace("</main>", written + "</main>"), encoding="utf-8")
+    with Chromium() as window:
+        window.open(other.as_uri())
+        assert window.run("window.evil ?? null") is None
+        assert any("Content Security Policy" in line for line in window.said())
 
 
 def test_a_link_to_an_instant_opens_there(page):
