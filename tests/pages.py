@@ -89,6 +89,15 @@ def drive(
     return answer
 
 
+def opened(window: Any, file: Path, fragment: str = "") -> Any:
+    """The page in a browser, opened anew and paused."""
+    window.open("about:blank")
+    window.open(file.as_uri() + fragment)
+    window.wait(READY)
+    window.run("adaptrackPage.pause()")
+    return window
+
+
 @contextlib.contextmanager
 def served(folder: Path) -> Iterator[tuple[str, list[str]]]:
     """The address of a server of a folder, and the paths that it was asked for."""

@@ -14,8 +14,8 @@ from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
-from browsers import BROWSERS, Chromium
-from pages import READY, STATE, differing, drive, exported, served
+from browsers import BROWSERS
+from pages import READY, STATE, differing, drive, exported, opened, served
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
@@ -28,32 +28,10 @@ def page(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
-def opened(request, page):
-    """The page, open in a browser, and paused."""
+def browser_window(request):
     find_program(request.param)
     with BROWSERS[request.param]() as window:
-        window.open(page.as_uri())
-        window.wait(READY)
-        window.run("adaptrackPage.pause()")
         yield window
-
-
-@pytest.fixture(scope="module")
-def chromium(page):
-    """The page in Chromium alone."""
-    find_program("chromium")
-    with Chromium() as window:
-        yield window
-
-
-def fresh(window, page, fragment="", size=(1400, 900)):
-    """The page opened anew, driving nothing."""
-    window.resize(*size)
-    window.open("about:blank")
-    window.open(page.as_uri() + fragment)
-    window.wait(READY)
-    window.run("adaptrackPage.pause()")
-    return window
 
 
 # -- one file ---------------------------------------------------------------------------------------------------------
@@ -143,7 +121,7 @@ def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, p
         assert paths == ([] if way == "disk" else [f"/{page.name}"])
 
 
-def test_it_begins_with_what_it_was_exported_with(chromium, page, tmp_path):
+def test_it_begins_with_what_it_was_exported_with(browser_window, tmp_path):
     along = np.linspace(0.0, 200.0, 41)
     points = np.stack([along, 3.0 * np.sin(along / 30.0)], axis=-1)
     car = at.vehicle_from_data_sheet("own", mass=1300.0, wheelbase=2.5)
@@ -151,8 +129,7 @@ def test_it_begins_with_what_it_was_exported_with(chromium, page, tmp_path):
         tmp_path / "own.html", vehicle=car, road=points, speed=12.0, profile="production",
         controllers=["learning", "stanley"], seed=3,
     )  # fmt: skip
-    fresh(chromium, exported_page)
-    state = chromium.run(STATE)
+    state = opened(browser_window, exported_page).run(STATE)
     assert state["notice"] == ""
     assert state["setup"]["car"]["file"]["numbers"]["mass"] == 1300.0
     assert len(state["setup"]["road"]["points"]) == 41
@@ -171,9 +148,9 @@ FEW = "informed", "sheet"
 @pytest.mark.parametrize(
     "name", [name if name in FEW else pytest.param(name, marks=pytest.mark.slow) for name in page_drives.SETUPS]
 )
-def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(opened, name):
+def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(browser_window, page, name):
     expected = page_drives.driven(name)
-    answer = drive(opened, page_drives.SETUPS[name], 4000)
+    answer = drive(opened(browser_window, page), page_drives.SETUPS[name], 4000)
     assert "refused" not in answer, answer
     for car, run in zip(answer["cars"], expected, strict=True):
         assert len(car["numbers"]) == len(run["x"]) > 50

@@ -7,7 +7,7 @@ import pytest
 import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
 from browsers import Chromium
-from pages import READY, STATE
+from pages import STATE, opened
 
 pytestmark = [
     pytest.mark.compiled,
@@ -31,14 +31,6 @@ def chromium():
 def window(chromium, file):
     """The page, paused."""
     return opened(chromium, file)
-
-
-def opened(page, file, fragment=""):
-    page.open("about:blank")
-    page.open(file.as_uri() + fragment)
-    page.wait(READY)
-    page.run("adaptrackPage.pause()")
-    return page
 
 
 def click(page, name):

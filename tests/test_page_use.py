@@ -10,7 +10,7 @@ import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.page_inputs import page_car
 from browsers import Chromium, Media
-from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, exported
+from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, exported, opened
 
 pytestmark = [
     pytest.mark.compiled,
@@ -30,19 +30,14 @@ def file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def window(file):
-    """The page, paused, with two cars and all its panels open."""
     with Chromium() as page:
-        opened(page, file)
+        unfolded(page, file)
         yield page
 
 
-def opened(page, file, fragment=""):
-    page.open("about:blank")
-    page.open(file.as_uri() + fragment)
-    page.wait(READY)
-    page.run("adaptrackPage.pause()")
-    page.run(OPEN_ALL)
-    return page
+def unfolded(window, file, fragment=""):
+    """The page, paused, with all its panels open."""
+    opened(window, file, fragment).run(OPEN_ALL)
 
 
 # -- keys -------------------------------------------------------------------------------------------------------------
@@ -107,7 +102,7 @@ def test_every_control_does_by_key_what_it_does_by_mouse(window):
 
 
 def test_the_picture_is_steered_by_keys(window, file):
-    opened(window, file)
+    unfolded(window, file)
     window.run("adaptrackPage.advance(100)")
     window.run("adaptrackPage.seek(2), document.querySelector('#road canvas').focus()")
     before = window.run(f"{STATE}.t")
@@ -123,7 +118,7 @@ def test_the_picture_is_steered_by_keys(window, file):
 
 # -- sizes and colours ------------------------------------------------------------------------------------------------
 def test_nothing_is_wider_than_the_window_nor_smaller_than_a_finger(window, file):
-    opened(window, file)
+    unfolded(window, file)
     for width in WIDTHS:
         window.resize(width, 900)
         assert window.run("document.documentElement.scrollWidth - innerWidth") <= 0, width
@@ -144,7 +139,7 @@ def test_a_checker_of_accessibility_finds_nothing_serious(window, file, scheme, 
         pytest.skip(NO_AXE)
     window.media(Media(scheme))
     window.resize(width, 900)
-    opened(window, file)
+    unfolded(window, file)
     window.run("adaptrackPage.advance(60)")
     window.run(f"{checker.read_text()};0")
     report = window.run("axe.run({runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']})")
@@ -175,13 +170,13 @@ DRIVEN = """adaptrackPage.advance(50).then(() => adaptrackPage.page.drive.histor
 
 
 def test_a_link_holds_all_settings_and_a_drawn_road(window, file):
-    opened(window, file)
+    unfolded(window, file)
     window.run(f"adaptrackPage.start({json.dumps(SETUP)})")
     assert window.run(f"{STATE}.notice") == ""
     first, drove = window.run(f"{STATE}.setup"), window.run(DRIVEN)
     link = window.run("location.hash")
     assert len(link) < 8000
-    opened(window, file, link)
+    unfolded(window, file, link)
     assert window.run(f"{STATE}.setup") == first
     assert window.run(DRIVEN) == drove
 
@@ -205,7 +200,7 @@ SHOWN = {
     "name", [*list(SHOWN)[:1], *(pytest.param(name, marks=pytest.mark.slow) for name in list(SHOWN)[1:])]
 )
 def test_the_python_lines_on_the_page_drive_what_the_page_drives(window, file, name):
-    opened(window, file)
+    unfolded(window, file)
     window.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(SHOWN[name])}}}).then(() => 0)")
     assert window.run(f"{STATE}.notice") == ""
     window.run("adaptrackPage.advance(300)")
@@ -221,7 +216,7 @@ def test_the_python_lines_on_the_page_drive_what_the_page_drives(window, file, n
 
 @pytest.mark.parametrize("fragment", ["#%E0%A4%A", "#setup=eyJ", "#car=unicorn", "#" + "a" * 100000])
 def test_a_link_that_does_not_fit_says_so_and_drives(window, file, fragment):
-    opened(window, file, fragment)
+    unfolded(window, file, fragment)
     assert window.run("adaptrackPage.advance(5)") == 5
 
 
@@ -257,7 +252,7 @@ HOSTILE = {
 @pytest.mark.parametrize("case", HOSTILE)
 def test_a_file_that_is_none_gives_a_sentence_and_never_a_frozen_page(window, file, case):
     if window.run(f"!window.adaptrackPage || {STATE}.over"):
-        opened(window, file)
+        unfolded(window, file)
     parts, name = HOSTILE[case]
     notice, longest = window.run(f"{DROP}({parts}, {json.dumps(name)})")
     assert re.match(r".*\w{3,} .*\w{3,}.*\.$", notice, re.DOTALL), notice
@@ -278,7 +273,7 @@ DROP_CAR = """
 
 
 def test_a_car_that_was_saved_is_dropped_and_driven(window, file):
-    opened(window, file)
+    unfolded(window, file)
     saved = page_car(at.load_vehicle("van").replace(name="own"))
     car = window.run(f"{DROP_CAR}({json.dumps(json.dumps({'page_car': saved}))})")
     assert car["numbers"] == saved["numbers"]
@@ -301,7 +296,7 @@ def test_a_car_that_was_saved_is_dropped_and_driven(window, file):
 )  # fmt: skip
 def test_a_setup_that_cannot_be_driven_gives_a_sentence(window, file, changes):
     if window.run(f"!window.adaptrackPage || {STATE}.over"):
-        opened(window, file)
+        unfolded(window, file)
     window.run(f"adaptrackPage.start({{...adaptrackPage.state().setup, ...{json.dumps(changes)}}}).catch(() => 0)")
     assert re.match(r".*\w{3,} .*\w{3,}.*\.$", window.run(f"{STATE}.notice"))
     assert window.run("adaptrackPage.advance(5)") == 5

@@ -12,9 +12,6 @@ from test_replay import ask_page
 
 pytestmark = pytest.mark.needs("chromium")
 
-PAGES = Path(__file__).parent / "viewer"
-"""What the browser is given."""
-
 
 def predicted_of(drive, ahead=1.0, points=8):
     """Paths that foretell where the car will be, up to so many seconds ahead."""
@@ -43,10 +40,7 @@ def drives(runs):
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory, runs):
     page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", runs, png=False)
-    return ask_page(
-        page,
-        (PAGES / "replay.js").read_text(),
-    )
+    return ask_page(page, (Path(__file__).parent / "viewer" / "replay.js").read_text())
 
 
 def test_a_thinned_line_keeps_its_extremes(answers):
