@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import Controller
 from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
@@ -30,6 +29,7 @@ from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scenario.profile import load_profile
 from inlined import entry
+from small_controllers import Scripted
 
 pytestmark = pytest.mark.kernels
 
@@ -43,27 +43,6 @@ SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, nois
 
 
 NEVER = Failure(distance=math.inf, sideslip=math.inf)
-
-
-class Scripted(Controller):
-    """Steers by the clock."""
-
-    name = "scripted"
-
-    def __init__(self, steering, period=0.05):
-        self.steering, self.period = steering, period
-        self.reset()
-
-    def reset(self):
-        self.k = 0
-
-    def step(self, state, speed, reference, variables=None):
-        angle = self.steering(self.k * self.period)
-        self.k += 1
-        return angle
-
-    def describe(self):
-        return {}
 
 
 class Recording:

@@ -28,7 +28,8 @@ from by_kernels import CASES, prepared
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
 from programs import find_program
-from test_export_c import POINTS, calls
+from test_export_c import POINTS
+from tracker_calls import calls
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
 HERE = Path(__file__).parent / "processors"

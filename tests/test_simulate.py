@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import Controller
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
@@ -23,6 +22,7 @@ from adaptrack.scenario import Knots, Scenario, load_scenario
 from adaptrack.scenario.profile import load_profile
 from references.daqp import Daqp
 from small_cars import PARAMETERS, linear_car
+from small_controllers import Scripted
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = [
@@ -297,43 +297,27 @@ def test_a_run_that_failed_is_judged_at_each_instant_and_not_after_the_last():
     assert math.isnan(times(Failure(distance=50.0)))
 
 
-class Scripted(Controller):
-    """A controller in plain Python that plays a list of angles."""
-
-    name, period = "scripted", 0.1
-
-    def __init__(self, angles):
-        self.angles = angles
-        self.reset()
-
-    def reset(self):
-        self.k = 0
-
-    def step(self, state, speed, reference, variables=None):
-        assert state.shape == (4,)
-        self.k += 1
-        return self.angles[min(self.k, len(self.angles)) - 1]
-
-    def describe(self):
-        return {"angles": list(self.angles)}
+def scripted(*angles):
+    """A controller that plays angles (rad), the last of them to the end."""
+    return Scripted(lambda t: angles[min(round(t / 0.1), len(angles) - 1)], period=0.1)
 
 
 def test_any_controller_drives_and_its_record_says_what_it_did():
-    run = simulate(SingleTrack(CAR), Scripted([0.0, 0.01, 0.02]), straight_then(duration=0.5))
+    run = simulate(SingleTrack(CAR), scripted(0.0, 0.01, 0.02), straight_then(duration=0.5))
     assert run.command.tolist() == [0.0, 0.01, 0.02, 0.02, 0.02]
     assert run.command_change.tolist() == [0.0, 0.01, 0.01, 0.0, 0.0]
     assert not run.held.any()
     assert run.tuning == {}
     assert run.diagnostics == {}
     assert run.meta["controller"] == "scripted"
-    assert run.meta["control"] == {"angles": [0.0, 0.01, 0.02]}
+    assert run.meta["control"] == {"period": 0.1}
     with pytest.raises(InvalidInput, match="compiled"):
-        rollout(SingleTrack(CAR), Scripted([0.0]), straight_then())
+        rollout(SingleTrack(CAR), scripted(0.0), straight_then())
 
 
 @pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf])
 def test_a_command_that_is_not_finite_ends_the_run_when_it_is_given(angle):
-    run = simulate(SingleTrack(CAR), Scripted([0.0, 0.01, angle]), straight_then(duration=1.0))
+    run = simulate(SingleTrack(CAR), scripted(0.0, 0.01, angle), straight_then(duration=1.0))
     failure = find_failure(run)
     assert (run.failed, failure.reason) == (Reason.NOT_FINITE, Reason.NOT_FINITE)
     assert run.failed_at == pytest.approx(0.2)

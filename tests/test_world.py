@@ -9,9 +9,11 @@ import pytest
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
+from adaptrack.drive.failure import Failure
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import Scenario
 from adaptrack.scenario.profile import load_profile
+from small_controllers import Scripted
 
 pytestmark = pytest.mark.compiled  # whole drives
 CAR = at.load_vehicle("paper")
@@ -20,30 +22,11 @@ SILENT = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rat
 STRAIGHT = Scenario(name="straight", duration=8.0, reference=0.0, speed=15.0, friction=0.9)
 
 
-class Steady(at.Controller):
-    """A controller that always gives the same command and keeps what it was told."""
-
-    name, period = "steady", 0.05
-
-    def __init__(self, command: float = 0.0) -> None:
-        self.command = command
-
-    def reset(self) -> None:
-        self.told: list[list[float]] = []
-
-    def step(self, state, speed, reference, variables=None):
-        self.told.append([*state, speed])
-        return self.command
-
-    def describe(self):
-        return {}
-
-
 def driven(profile, command=0.0, scenario=STRAIGHT, seed=3):
     """The trajectory, and what the controller was told (n, 5): x_c and the speed."""
-    controller = Steady(command)
-    run = simulate(PLANT, controller, scenario, profile=profile, seed=seed, failure=at.Failure(distance=1000.0))
-    return run, np.array(controller.told)
+    controller = Scripted(lambda t: command)
+    run = simulate(PLANT, controller, scenario, profile=profile, seed=seed, failure=Failure(distance=1000.0))
+    return run, np.array(controller.samples)
 
 
 @pytest.mark.parametrize("delay", [0, 1])
