@@ -6,16 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptrack import (
-    MPC,
-    ContractError,
-    DualTrack,
-    InvalidInput,
-    Tuning,
-    load_vehicle,
-    published_mpc,
-    rollout_batch,
-)
+from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc, rollout_batch
 from adaptrack.analysis.certify import OPERATING, certify
 from adaptrack.analysis.linearisation import Mismatch, laws, usual_mismatches
 from adaptrack.analysis.stability import hard_turn, loop_map, loops, radii, spectral_radius

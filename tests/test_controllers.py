@@ -342,17 +342,7 @@ def test_a_law_of_ones_own_sees_its_numbers_and_keeps_its_memory():
 # -- the registry and the checker --------------------------------------------------------------------------------------
 @pytest.mark.compiled
 @pytest.mark.parametrize(
-    "name",
-    [
-        "as-released",
-        "as-written",
-        "informed",
-        "kinematic-mpc",
-        "lqr",
-        "preview-lqr",
-        "pure-pursuit",
-        "stanley",
-    ],
+    "name", ["as-released", "as-written", "informed", "kinematic-mpc", "lqr", "preview-lqr", "pure-pursuit", "stanley"]
 )
 @pytest.mark.parametrize("preview", [False, True])
 def test_every_named_controller_keeps_the_contract(name, preview):

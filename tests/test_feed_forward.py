@@ -11,12 +11,7 @@ from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.models import PathModel
-from adaptrack.core.controllers.feed_forward import (
-    FeedForward,
-    bend_size,
-    feed_forward_sizes,
-    road_moves,
-)
+from adaptrack.core.controllers.feed_forward import FeedForward, bend_size, feed_forward_sizes, road_moves
 from adaptrack.core.layout import room
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Line, Road

@@ -145,11 +145,7 @@ def test_a_steered_car_has_the_same_run_alone_and_among_others_to_the_bit(option
 @pytest.mark.parametrize("controller", ["informed", "informed-learning", "as-written"])
 def test_a_tuned_car_has_the_same_run_alone_and_among_others_to_the_bit(controller):
     task = {"road": [STEP, STEP.replace(name="shorter", duration=2.9)], "controller": controller}
-    same_as_alone(
-        MPCTuningVectorEnv(2, **task),
-        lambda: MPCTuningEnv(**task),
-        lambda row: [-0.3, -0.5, 0.1 * row[6]],
-    )
+    same_as_alone(MPCTuningVectorEnv(2, **task), lambda: MPCTuningEnv(**task), lambda row: [-0.3, -0.5, 0.1 * row[6]])
 
 
 @pytest.mark.compiled

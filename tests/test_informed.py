@@ -75,12 +75,6 @@ def test_the_path_model_is_the_exact_zero_order_hold_of_its_equations(lag, speed
     np.testing.assert_allclose(e, exact[:n, n + 3], rtol=0, atol=1e-13)
 
 
-@every_lag
-def test_the_path_model_keeps_the_contract_of_models(lag):
-    check_model(PathModel(CAR, PERIOD, lag))
-    assert get_model("path", CAR, PERIOD) == PathModel(CAR, PERIOD)
-
-
 def test_towards_standstill_the_path_model_is_a_kinematic_bicycle():
     a, b, _ = PathModel(CAR, 0.1).discrete(0.1)
     x, angle = np.zeros(4), 0.2
@@ -299,7 +293,10 @@ def test_gaps_of_the_pose_are_in_the_trajectory_and_counted():
     assert metrics.dead_reckoning_max == is_dead_reckoning.max() >= 0.3 - 1e-9
 
 
-def test_the_filter_keeps_the_contract_of_estimators():
+def test_model_and_filter_keep_their_contracts():
+    for lag in (0.0, 0.15):
+        check_model(PathModel(CAR, PERIOD, lag))
+    assert get_model("path", CAR, PERIOD) == PathModel(CAR, PERIOD)
     check_estimator(KalmanFilter(SensorNoise(wheel_angle=0.001)), PathModel(CAR, PERIOD, 0.15))
     check_estimator(KalmanFilter(), PathModel(CAR, PERIOD))
     assert get_estimator("kalman") == KalmanFilter()
@@ -434,16 +431,12 @@ def test_a_model_or_an_estimator_of_ones_own_leaves_the_rest_to_the_paper():
     assert (mpc.period, mpc.tuning, mpc.limits, mpc.preview) == (PERIOD, Tuning(), Limits(), False)
     assert isinstance(MPC(CAR, model=PathModel(CAR, PERIOD)).estimator, Deadbeat)
     assert MPC(CAR, estimator="deadbeat").model == SingleTrackModel(CAR, 0.1)
+    kalman = KalmanFilter(SensorNoise(y=0.1), Drifts(side=0.2))
+    mpc = MPC(KNOWN, profile="road", estimator=kalman)
+    assert (mpc.estimator, mpc.model) == (kalman, MPC(KNOWN, profile="road").model)
     for options in ({"profile": "road"}, {"belief": Steering(lag=0.1)}):
         with pytest.raises(InvalidInput, match="profile, belief, computation, uncertainty"):
             MPC(CAR, model=model, estimator=KalmanFilter(), **options)
-
-
-def test_a_filter_of_ones_own_takes_the_place_of_the_default_one():
-    kalman = KalmanFilter(SensorNoise(y=0.1), Drifts(side=0.2))
-    mpc = MPC(KNOWN, profile="road", estimator=kalman)
-    assert mpc.estimator == kalman
-    assert mpc.model == MPC(KNOWN, profile="road").model
 
 
 def test_the_published_controller_is_asked_for_by_name():

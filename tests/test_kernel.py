@@ -11,16 +11,7 @@ import numpy as np
 import pytest
 
 from adaptrack.core import library
-from adaptrack.core.kernel import (
-    INTERPRETED,
-    Setting,
-    copier,
-    defaults,
-    record,
-    size_of,
-    vector,
-    void,
-)
+from adaptrack.core.kernel import INTERPRETED, Setting, copier, defaults, record, size_of, vector, void
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road

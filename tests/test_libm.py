@@ -8,15 +8,14 @@ import math
 import struct
 import sys
 from fractions import Fraction
-from types import FunctionType
 
 import mpmath as mp
 import numba
 import numpy as np
 import pytest
 
-from adaptrack.core.kernel import INTERPRETED, Known, fma
-from adaptrack.core.maths import bits, exact, exponential, polynomial, trigonometric
+from adaptrack.core.kernel import INTERPRETED, fma
+from adaptrack.core.maths import bits, exact, trigonometric
 from inlined import entry
 from references import elementary
 
@@ -280,31 +279,3 @@ def test_clipping_keeps_what_lies_between_the_bounds(rng):
         assert clip(x, -0.5, 0.25) == min(max(x, -0.5), 0.25)
     assert [clip(x, -1.0, 2.0) for x in (INF, -INF)] == [2.0, -1.0]
     assert math.isnan(clip(NAN, -1.0, 1.0))
-
-
-def interpreted(*modules):
-    """The functions of these modules as plain Python, their multiply-add `soft_fma`."""
-    scope = {}
-    for module in modules:
-        for name, value in vars(module).items():
-            if isinstance(value, Known) and value.kind != "primitive":
-                scope[name] = FunctionType(value.function.__code__, scope, name)
-            elif not name.startswith("__"):
-                scope.setdefault(name, value)
-    scope["fma"] = scope["soft_fma"]
-    return scope
-
-
-@pytest.mark.compiled
-def test_compiled_and_interpreted_functions_give_the_same_bits(rng):
-    plain = interpreted(bits, polynomial, exact, exponential, trigonometric)
-    for name, function in FUNCTIONS.items():
-        for kind, make in function.arguments.items():
-            for at in zip(*(column.tolist() for column in make(rng, 15)), strict=True):
-                assert same(ENTRIES[name](*at), plain[name](*at)), (name, kind, at)
-    for name in ("soft_fma", "fmod", "modulo", "soft_sqrt", "soft_floor", "soft_ceil"):
-        for results in zip(
-            any_bits(rng, 100).tolist(), any_bits(rng, 100).tolist(), any_bits(rng, 100).tolist(), strict=True
-        ):
-            at = results[: plain[name].__code__.co_argcount]
-            assert same(ENTRIES[name](*at), plain[name](*at)), (name, at)

@@ -12,11 +12,7 @@ from adaptrack.export.page_file import SOURCES
 from adaptrack.export.page_setup import simulate_setup
 from programs import find_program
 
-pytestmark = [
-    pytest.mark.compiled,
-    pytest.mark.skipif(INTERPRETED, reason="whole drives"),
-    pytest.mark.needs("node"),
-]
+pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="whole drives"), pytest.mark.needs("node")]
 ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.ROADS}
 FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
 

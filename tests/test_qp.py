@@ -7,16 +7,7 @@ import pytest
 
 from adaptrack import Tuning, load_vehicle, published_mpc
 from adaptrack.base.errors import InvalidInput, UnknownName
-from adaptrack.control.qp import (
-    QP,
-    ActiveSet,
-    Attempt,
-    Hildreth,
-    QPSolver,
-    QPStatus,
-    get_qp_solver,
-    kkt_residuals,
-)
+from adaptrack.control.qp import QP, ActiveSet, Attempt, Hildreth, QPSolver, QPStatus, get_qp_solver, kkt_residuals
 from adaptrack.control.qp.solver import newton_distance
 from references.daqp import Daqp
 from references.qp_problems import drawn_mpc_problem, drawn_problem, ill_conditioned_problem, known_problems

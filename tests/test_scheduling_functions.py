@@ -82,19 +82,11 @@ def test_a_kind_of_ones_own_is_driven_saved_and_loaded(tmp_path):
 
 
 @every_kind
-@pytest.mark.parametrize("by", [3.0, -1.5, 0.15, 0.0])
-def test_a_function_is_shifted_by_exactly_that_much_everywhere(kind, by, rng):
-    function = functions(rng)[kind]
-    moved = function.shifted(by)
-    x = rng.normal(size=(50, 2)) * 3.0
-    np.testing.assert_allclose(moved.predict(x) - function.predict(x), by, rtol=0, atol=1e-9)
-
-
-@every_kind
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_function_goes_a_share_of_the_way_to_a_value_everywhere(kind, share, rng):
-    function = functions(rng)[kind]
-    moved = function.blended(share, 7.0)
-    x = rng.normal(size=(50, 2)) * 3.0
+def test_a_function_is_shifted_by_a_number_or_goes_a_share_of_the_way_to_one_everywhere(kind, rng):
+    function, x = functions(rng)[kind], rng.normal(size=(50, 2)) * 3.0
     before = function.predict(x)
-    np.testing.assert_allclose(moved.predict(x), before + share * (7.0 - before), rtol=1e-12, atol=1e-9)
+    for by in (3.0, -1.5, 0.15, 0.0):
+        np.testing.assert_allclose(function.shifted(by).predict(x) - before, by, rtol=0, atol=1e-9)
+    for share in (0.0, 0.3, 1.0):
+        expected = before + share * (7.0 - before)
+        np.testing.assert_allclose(function.blended(share, 7.0).predict(x), expected, rtol=1e-12, atol=1e-9)

@@ -25,10 +25,7 @@ from small_cars import PARAMETERS, linear_car
 from small_controllers import Scripted
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
-pytestmark = [
-    pytest.mark.kernels,
-    pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning"),
-]
+pytestmark = [pytest.mark.kernels, pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")]
 
 CAR = load_vehicle("paper")
 ROAD = load_profile("road")

@@ -34,15 +34,7 @@ from adaptrack.analysis.linearisation import (
     sensed,
     steady_turn,
 )
-from adaptrack.analysis.stability import (
-    hard_turn,
-    loop_map,
-    loops,
-    margins,
-    modulus_margin,
-    radii,
-    spectral_radius,
-)
+from adaptrack.analysis.stability import hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.kalman import KalmanFilter, SensorNoise
 from adaptrack.control.models import PathModel
