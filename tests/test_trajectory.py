@@ -185,11 +185,11 @@ def test_an_edited_file_and_one_of_another_version_are_refused_with_the_reason(t
     path = tmp_path / "run.parquet"
     record().save(path)
     stored = pq.read_table(path)
-    about = stored.schema.metadata[b"about"].decode()
+    text = stored.schema.metadata[b"about"].decode()
     holes = stored.set_column(2, "Y", pa.array([None] + [0.0] * 7)).replace_schema_metadata(stored.schema.metadata)
     other_period, other_seed = (
-        about.replace('"period": 0.1', '"period": 0.2'),
-        about.replace('"meta": {', '"meta": {"seed": 1'),
+        text.replace('"period": 0.1', '"period": 0.2'),
+        text.replace('"meta": {', '"meta": {"seed": 1'),
     )
     versions = r"9\.9\.9 in format version 7, this adaptrack reads version 2: run the simulation"
     for table, entries, complaint in (
