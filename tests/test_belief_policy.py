@@ -40,10 +40,6 @@ LEARNING = Learning()
 compiled = pytest.mark.compiled
 
 
-def ranges(mpc):
-    return mpc.learner.ranges
-
-
 # -- who says the steering --------------------------------------------------------------------------------------------
 def test_who_learns_is_told_nothing_of_the_steering_by_the_profile():
     profile = "production"
@@ -64,7 +60,7 @@ def test_where_nobody_says_lag_or_dead_time_the_mpc_learns_and_says_so(options):
     mpc = MPC(CAR, **options)
     assert mpc.learner is not None
     assert "; learns, unknown " in repr(mpc)
-    (short, long), (soon, late) = ranges(mpc)
+    (short, long), (soon, late) = mpc.learner.ranges
     assert f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s" in repr(mpc)
     assert mpc.describe()["learning"] == mpc.learns
     assert isinstance(mpc.step([0.0] * 4, 15.0, np.zeros(40)).belief_state, BeliefState)
@@ -85,16 +81,16 @@ def test_nothing_is_learned_where_lag_and_dead_time_are_said_or_learning_is_none
 
 def test_what_nobody_says_is_never_taken_for_certain():
     mpc = MPC(CAR, uncertainty=Uncertainty(stiffness=1.3))
-    assert ranges(mpc).lag == ranges(MPC(CAR)).lag
-    assert ranges(mpc).dead_time == pytest.approx((0.0, ranges(MPC(CAR)).dead_time[1]), abs=0.051)
+    assert mpc.learner.ranges.lag == MPC(CAR).learner.ranges.lag
+    assert mpc.learner.ranges.dead_time == pytest.approx((0.0, MPC(CAR).learner.ranges.dead_time[1]), abs=0.051)
     assert math.exp(mpc.learner.stiffness) == pytest.approx(1.3)
 
 
 def test_in_a_loop_of_ones_own_the_computation_is_learned_with_the_dead_time():
     bare, with_profile = MPC(CAR, learning=LEARNING), MPC(CAR, profile="road", learning=LEARNING)
     assert (bare.belief.computation.value, with_profile.belief.computation.value) == (0.0, with_profile.period)
-    assert ranges(bare).dead_time[0] == 0.0
-    assert ranges(bare).dead_time[1] >= ranges(with_profile).dead_time[1]
+    assert bare.learner.ranges.dead_time[0] == 0.0
+    assert bare.learner.ranges.dead_time[1] >= with_profile.learner.ranges.dead_time[1]
 
 
 # -- the guide's table ------------------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from adaptrack.export.tracking import Twin, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
 from programs import find_program
 from references.daqp import Daqp
+from small_controllers import Scripted
 from tracker_calls import calls, in_python
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
@@ -480,18 +481,10 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
     assert subprocess.run([str(tmp_path / "drive")]).returncode == 0
 
 
-class InPython(at.Controller):
-    name = "my own"
-    period = 0.05
-
-    def step(self, state, speed, reference, variables=None, road=None):
-        return 0.0
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (InPython, "controller 'my own' is none that is compiled ahead"),
+        (lambda: Scripted(lambda t: 0.0), "controller 'scripted' is none that is compiled ahead"),
         (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
         (lambda: at.MPC(CAR, solver=Daqp()), "QP solver 'daqp' .* is Python's"),
         (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),

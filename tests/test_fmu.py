@@ -27,6 +27,7 @@ from adaptrack.export.units import car_unit, controller_unit
 from exported import STRICT
 from fmus import Instance, Signals, needed
 from programs import find_program
+from small_controllers import Scripted
 
 pytestmark = [pytest.mark.compiled, needed]
 SOURCES = Path(adaptrack.export.__file__).parent
@@ -325,19 +326,12 @@ def flipped(content, place):
     return content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :]
 
 
-class Straight(at.Controller):
-    """A controller in Python."""
-
-    def step(self, state, speed, reference, variables=None, road=None):
-        return 0.0
-
-
 def test_what_is_not_compiled_ahead_of_time_is_refused_by_name(folder):
     plant = at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)
     with pytest.raises(at.InvalidInput, match=r"user|of your own"):
         write_fmu(car_unit(plant), folder / "own.fmu")
     with pytest.raises(at.InvalidInput, match="none that is compiled ahead of time"):
-        controller_unit(Straight(), country().road)
+        controller_unit(Scripted(lambda t: 0.0), country().road)
     with pytest.raises(at.InvalidInput, match=r"must end in \.fmu"):
         write_fmu(car_unit(PLANT), folder / "car.zip")
 

@@ -505,15 +505,12 @@ def test_the_first_move_may_lead_the_wheels_as_far_as_the_actuator_follows(rng):
         assert abs(mpc.angle - command) <= max(qp.gamma[:2]) + 1e-12
 
 
-def six_numbers() -> Vehicle:
-    """The car of docs/vehicles.md, not matched to the tyres it drives on."""
-    return Vehicle(
-        name="six", mass=1500.0, yaw_inertia=2500.0, lf=1.1, lr=1.6, stiffness_front=55000.0, stiffness_rear=60000.0
-    )
-
-
+SIX_NUMBERS = Vehicle(
+    name="six", mass=1500.0, yaw_inertia=2500.0, lf=1.1, lr=1.6, stiffness_front=55000.0, stiffness_rear=60000.0
+)
+"""The car of docs/vehicles.md, not matched to the tyres it drives on."""
 FULL_SIZE = [name for name in list_vehicles() if name != "model-car"]
-CARS = {"six": six_numbers(), **{name: load_vehicle(name) for name in FULL_SIZE}}
+CARS = {"six": SIX_NUMBERS, **{name: load_vehicle(name) for name in FULL_SIZE}}
 IDEAL = [(name, profile) for name in CARS for profile in list_profiles() if (name, profile) != ("small-car", "paper")]
 """The light weight of moves in the ideal world without preview lets the small car's soft tyres swing."""
 

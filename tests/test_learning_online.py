@@ -166,10 +166,6 @@ def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
     run = rollout(DualTrack(CAR), mpc, trip, profile=world(), seed=1)
     assert run.failed is None
     assert run.diagnostics["belief_delay"][-1] == pytest.approx(0.32, abs=0.05)
-    again = simulate(DualTrack(CAR), learner(), trip, profile=world(), seed=1)
-    np.testing.assert_array_equal(run.command, again.command)
-    for name in kernel.BELIEFS:
-        np.testing.assert_array_equal(run.diagnostics[name], again.diagnostics[name])
     assert learned_quantities(run)["delay"].truth[0] == pytest.approx(0.32)
     figure = print_figure(learned_picture({"informed": run}))
     titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]

@@ -211,11 +211,7 @@ def test_the_problem_is_what_the_step_solves_and_asking_changes_nothing(moves, o
 
 
 # -- copies -----------------------------------------------------------------------------------------------------------
-def copied(method):
-    return {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda x: pickle.loads(pickle.dumps(x))}[method]
-
-
-@pytest.mark.parametrize("method", ["copy", "deepcopy", "pickle"])
+@pytest.mark.parametrize("make_copy", [copy.copy, copy.deepcopy, lambda mpc: pickle.loads(pickle.dumps(mpc))])
 @pytest.mark.parametrize(
     "options",
     [
@@ -227,13 +223,13 @@ def copied(method):
     ],
     ids=["pulse", "soft laguerre", "scheduled", "hildreth", "daqp"],
 )
-def test_a_copy_made_in_mid_run_goes_on_alike_and_apart(method, options, rng):
+def test_a_copy_made_in_mid_run_goes_on_alike_and_apart(make_copy, options, rng):
     drive = [(rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0], rng.uniform(3, 25), rng.normal(size=20)) for _ in range(9)]
     mpc, undisturbed = (published_mpc(CAR, CALM, preview=True, **options) for _ in range(2))
     expected = [undisturbed.step(*sample, HERE) for sample in drive]
     for sample in drive[:4]:
         mpc.step(*sample, HERE)
-    other = copied(method)(mpc)
+    other = make_copy(mpc)
     assert [other.step(*sample, HERE) for sample in drive[4:]] == expected[4:]  # the copy goes on as the original would
     assert [mpc.step(*sample, HERE) for sample in drive[4:]] == expected[4:]  # which the copy's steps did not touch
     other.reset()

@@ -29,9 +29,9 @@ def made(car=SEDAN, lag: float = 0.2, dead_time: float = 0.0, **options) -> Prev
     return PreviewLQR(car, **{"profile": "paper", "period": 0.05, "belief": belief, "limits": WIDE, **options})
 
 
-def model_of(controller: PreviewLQR, speed: float):
+def model_of(car, lag: float, speed: float):
     """A, B and E of the path model."""
-    model = PathModel(controller.vehicle, controller.period, controller.belief.lag.value)
+    model = PathModel(car, 0.05, lag)
     n = model.n
     A, B, E = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     model.function(speed, model.period, model.parameters(), A, B, E)
@@ -44,7 +44,7 @@ def model_of(controller: PreviewLQR, speed: float):
 @pytest.mark.parametrize("speed", [2.0, 8.0, 30.0])
 def test_the_gains_are_those_of_the_riccati_equation_with_the_preview_as_states(car, lag, speed):
     controller = made(car, lag, ahead=0.5, q_e=2.0, q_heading=30.0, r=200.0)
-    A, B, _ = model_of(controller, speed)
+    A, B, _ = model_of(car, lag, speed)
     n, count = len(A), controller.previewed
     X, _ = steady_turn(car, speed, n)
     F = np.zeros((n + count, n + count))  # the changes of w shift towards the first, which acts now
@@ -61,7 +61,7 @@ def test_the_gains_are_those_of_the_riccati_equation_with_the_preview_as_states(
 @every_lag
 @pytest.mark.parametrize("speed", [2.0, 8.0, 30.0])
 def test_the_steady_turn_is_a_fixed_point_of_the_path_model(car, lag, speed):
-    A, B, E = model_of(made(car, lag), speed)
+    A, B, E = model_of(car, lag, speed)
     X, U = steady_turn(car, speed, len(A))
     np.testing.assert_allclose(A @ X + B * U + E, X, atol=1e-12)
 
@@ -98,7 +98,7 @@ def test_weights_that_change_change_the_gains_as_weights_given_at_the_start(fact
 def test_rolling_through_the_dead_time_is_the_optimum_with_the_commands_on_their_way_as_states(lag, rng):
     speed, late = SPEEDS[12], 3
     controller = made(lag=lag, dead_time=late * 0.05)
-    A, B, _ = model_of(controller, speed)
+    A, B, _ = model_of(SEDAN, lag, speed)
     n = len(A)
     F = np.zeros((n + late, n + late))  # behind the state the commands, the one that acts next first
     F[:n, :n], F[:n, n], F[n:-1, n + 1 :] = A, B, np.eye(late - 1)
@@ -154,10 +154,9 @@ WEIGHTS = {"q_e": 1.0, "q_heading": 100.0, "r": 100.0}
 
 def driven_cost(controller, lag: float) -> float:
     """Cost of `WEIGHTS` for the linear car with a steering lag on clothoids, at 10 m/s."""
-    model, speed, s = PathModel(SEDAN, 0.05, lag), 10.0, 0.0
-    n = model.n
-    A, B, E = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    model.function(speed, 0.05, model.parameters(), A, B, E)
+    speed, s = 10.0, 0.0
+    A, B, E = model_of(SEDAN, lag, speed)
+    n = len(A)
     X, U = steady_turn(SEDAN, speed, n)
     x, cost = np.zeros(n), 0.0
     controller.reset()

@@ -52,6 +52,12 @@ PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), published_mpc(CAR, period=0.0
 INFORMED = MPC(CAR, profile="road")
 
 
+def straight_and_turn(speed, friction):
+    """The sampled car on a straight road and in a hard turn."""
+    turns = (0.0, hard_turn(speed, friction))
+    return [sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=a) for a in turns]
+
+
 def some_tunings(seed, n):
     rng = np.random.default_rng(seed)
     Np = rng.integers(10, 61, n)
@@ -360,11 +366,7 @@ def inside():
         speed, friction = rng.uniform(10.0, 20.0), rng.uniform(0.3, 1.0)
         tunings = some_tunings(rng, 25)
         k = laws(ROAD_MPC, speed, tunings)
-        turns = (0.0, hard_turn(speed, friction))
-        bodies = [
-            sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn) for turn in turns
-        ]
-        near = 1.0 - np.minimum(*(modulus_margin(body, k) for body in bodies))
+        near = 1.0 - np.minimum(*(modulus_margin(body, k) for body in straight_and_turn(speed, friction)))
         ratio = np.log10(tunings[:, 3] / tunings[:, 2])
         rows += [(speed, friction, *row) for row in zip(tunings[:, 0], tunings[:, 1], ratio, near, strict=True)]
     return np.array(rows)
@@ -377,11 +379,7 @@ def test_at_its_nodes_the_map_is_the_worse_of_straight_and_turn(road_map):
         node = tuple(rng.integers(len(axis)) for axis in axes)
         speed, friction, Np, Nc, ratio = (float(axis[i]) for axis, i in zip(axes, node, strict=True))
         k = laws(ROAD_MPC, speed, [Np, min(Np, Nc), 1.0, 10.0**ratio])
-        bodies = [
-            sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn)
-            for turn in (0.0, hard_turn(speed, friction))
-        ]
-        near = 1.0 - min(modulus_margin(body, k)[0] for body in bodies)
+        near = 1.0 - min(modulus_margin(body, k)[0] for body in straight_and_turn(speed, friction))
         assert near <= values[node] + 1e-12
         assert values[node] - near <= 1.01e-3
 
