@@ -23,7 +23,7 @@ CASES = {
 }
 
 
-def ordered(vehicle, options):
+def make_order(vehicle, options):
     """The order of an MPC, and its parts with the usual filter."""
     name, mode = options.get("profile"), options.get("learning", "auto")
     world = load_profile(name or "road")
@@ -42,9 +42,9 @@ def ordered(vehicle, options):
     return order, row[0]
 
 
-def prepared(vehicle, options):
+def make_parts(vehicle, options):
     """Order, parts and room for the constants of an MPC, whose numbers are not yet written."""
-    order, parts = ordered(vehicle, options)
+    order, parts = make_order(vehicle, options)
     again = np.array([parts])[0]
     assert informed.informed_parts(order, again) == informed.FINE
     n, _, learned = informed.informed_sizes(order, again)

@@ -75,7 +75,7 @@ SETUPS = {
 
 
 @functools.cache
-def driven(name):
+def drive_columns(name):
     """Of each car of a drive the columns that are compared, by name."""
     return [columns_of(run) for run in simulate_setup(SETUPS[name])]
 

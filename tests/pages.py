@@ -70,7 +70,7 @@ ENGINE = """
 """A drive of the page's engine in a worker of its own: what it began with, and the frames of each car."""
 
 
-def exported(folder: Path) -> Path:
+def export_page(folder: Path) -> Path:
     """The page in a folder; a test is skipped where its kernels have not been built."""
     try:
         return at.export_page(folder / "drive.html")
@@ -89,7 +89,7 @@ def drive(
     return answer
 
 
-def opened(window: Any, file: Path, fragment: str = "") -> Any:
+def open_page(window: Any, file: Path, fragment: str = "") -> Any:
     """The page in a browser, opened anew and paused."""
     window.open("about:blank")
     window.open(file.as_uri() + fragment)
@@ -99,7 +99,7 @@ def opened(window: Any, file: Path, fragment: str = "") -> Any:
 
 
 @contextlib.contextmanager
-def served(folder: Path) -> Iterator[tuple[str, list[str]]]:
+def serve(folder: Path) -> Iterator[tuple[str, list[str]]]:
     """The address of a server of a folder, and the paths that it was asked for."""
     paths: list[str] = []
 

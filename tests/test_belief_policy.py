@@ -94,14 +94,14 @@ def test_in_a_loop_of_ones_own_the_computation_is_learned_with_the_dead_time():
 
 
 # -- the guide's table ------------------------------------------------------------------------------------------------
-def commanded(**drive):
+def driving_controller(**drive):
     """The informed controller of `drive` with these options."""
     world = load_profile("road")
     learning = make_learning(drive.get("learn", False), drive.get("learned"))
     return make_controller("informed", ControllerSettings(CAR, world, world.period, True, learning=learning))[1]
 
 
-def exported(car, **options):
+def exported_controller(car, **options):
     """The controller of `export c` with these options."""
     choice = ExportOptions(out=Path(), which=ExportedController(car=CarAndPlant()), **options)
     return choice.which.make(car, load_profile(choice.which.profile), choice.computation)
@@ -127,9 +127,9 @@ ROWS = [
     ('`MPC(car, profile="road")`', lambda: MPC(CAR, **NAMED), FROM_PROFILE, 0.05, False),
     ('`MPC(car, profile="road", comp', lambda: MPC(CAR, **NAMED, computation=0.0), FROM_PROFILE, 0.0, False),
     ('`MPC(car, profile="road", learn', lambda: MPC(KNOWN, **NAMED, learning=LEARNING), FROM_FILE, 0.05, True),
-    ("`drive`", commanded, FROM_PROFILE, 0.05, False),
-    ("`drive --learn`", lambda: commanded(learn=True), LEARNED, 0.05, True),
-    ("`export c`", lambda: exported(KNOWN), FROM_FILE, 0.0, False),
+    ("`drive`", driving_controller, FROM_PROFILE, 0.05, False),
+    ("`drive --learn`", lambda: driving_controller(learn=True), LEARNED, 0.05, True),
+    ("`export c`", lambda: exported_controller(KNOWN), FROM_FILE, 0.0, False),
 ]  # fmt: skip
 """Start of a row, its controller, sources of lag and dead time, computation time (s), and whether it learns."""
 
@@ -161,7 +161,7 @@ def test_a_computation_time_adds_to_the_dead_time_wherever_it_is_stated():
         ]
         assert delays == pytest.approx([0.1 + stated] * 3)
     assert KinematicMPC(KNOWN).belief.delay == PreviewLQR(KNOWN).belief.delay == 0.05
-    assert exported(KNOWN, computation=0.02).model.dead_time == pytest.approx(0.07)
+    assert exported_controller(KNOWN, computation=0.02).model.dead_time == pytest.approx(0.07)
 
 
 def test_a_controller_that_learns_counts_a_stated_computation_time_before_the_dead_time():

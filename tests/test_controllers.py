@@ -136,7 +136,7 @@ def test_the_dead_time_of_stanley_is_that_of_a_car_which_moves_on():
 # -- LQR ---------------------------------------------------------------------------------------------------------------
 
 
-def asked_gain(controller: LQR, speed: float, tuning: np.ndarray | None = None) -> np.ndarray:
+def applied_gain(controller: LQR, speed: float, tuning: np.ndarray | None = None) -> np.ndarray:
     """The gain (4,) that the compiled law applies on a straight path, asked for by small errors."""
     small, answer = 1e-6, np.zeros(1 + len(controller.diagnostic_names))
     basis = [(0.0, 0.0, 0.0, small), (small, 0.0, 0.0, 0.0), (-speed * small, small, 0.0, 0.0), (0.0, 0.0, small, 0.0)]
@@ -155,14 +155,14 @@ def asked_gain(controller: LQR, speed: float, tuning: np.ndarray | None = None) 
 def test_at_its_nodes_the_law_applies_the_gain_of_the_riccati_equation(car):
     controller = LQR(car, limits=WIDE, preview=True)
     for speed in SPEEDS[[0, 5, 12, 20]]:
-        np.testing.assert_allclose(asked_gain(controller, speed), controller.gain_at(speed), rtol=1e-7)
+        np.testing.assert_allclose(applied_gain(controller, speed), controller.gain_at(speed), rtol=1e-7)
 
 
 @pytest.mark.parametrize("factor", [0.03, 0.5, 30.0])
 def test_weights_that_change_change_the_gain_as_weights_given_at_the_start(factor):
     controller = LQR(CAR, q_e=1.0, q_heading=100.0, r=1000.0, limits=WIDE)
     expected = LQR(CAR, q_e=1.0, q_heading=100.0, r=1000.0 * factor, limits=WIDE)
-    changed = asked_gain(controller, 15.0, expected.packed_tuning())
+    changed = applied_gain(controller, 15.0, expected.packed_tuning())
     np.testing.assert_allclose(changed, expected.gain_at(15.0), rtol=0.06)
 
 
@@ -322,13 +322,13 @@ def proportional(situation, reference, road, tuning, parameters, memory, answer)
     answer[1] = memory[0]
 
 
-def own(law=proportional, **options) -> UserController:
+def make_proportional(law=proportional, **options) -> UserController:
     options = {"tuning": {"gain": 0.2}, "parameters": {"scale": 4.0}, "memory_size": 1, **options}
     return UserController(law, **{"diagnostics": ("steps",), "label": "proportional", **options})
 
 
 def test_a_law_of_ones_own_sees_its_numbers_and_keeps_its_memory():
-    controller = own()
+    controller = make_proportional()
     answers = [controller.step([0.0, 0.0, 0.0, 0.0], 10.0, [1.0]) for _ in range(3)]
     assert [answer.angle for answer in answers] == [0.05] * 3
     assert [answer.diagnostics["steps"] for answer in answers] == [1.0, 2.0, 3.0]

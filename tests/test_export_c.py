@@ -190,7 +190,7 @@ class CTracker:
         )
 
 
-def begun(library, way):
+def start_tracker(library, way):
     tracker, path = CTracker(library), library.path(POINTS)
     assert (tracker.error, path.error) == (exported.OK, exported.OK)
     assert tracker.follow(path, way[1]) == exported.OK
@@ -214,9 +214,9 @@ def differing(tracker, answer_of, samples):
     return count
 
 
-def compared(library_of, way, name, steps, seed=0):
+def count_differences(library_of, way, name, steps, seed=0):
     library = library_of(name)
-    tracker, rng = begun(library, way), np.random.default_rng(seed)
+    tracker, rng = start_tracker(library, way), np.random.default_rng(seed)
     if library.controller.scheduler is None:
         twin = Tracker(copy.deepcopy(library.controller), way[0], plan=way[1])
         differences = differing(tracker, lambda sample: in_python(twin, sample), calls(rng, steps, way[0]))
@@ -229,7 +229,7 @@ def compared(library_of, way, name, steps, seed=0):
 
 @pytest.mark.parametrize("name", ["informed", "learning", "nn", "stanley"])
 def test_every_step_is_that_of_python(name, library_of, way, caplog):
-    assert compared(library_of, way, name, 400) == 0
+    assert count_differences(library_of, way, name, 400) == 0
 
 
 # -- constants and state ----------------------------------------------------------------------------------------------
@@ -239,7 +239,7 @@ def same_answers(first, other, samples):
 
 def test_a_restored_tracker_goes_on_as_the_saved_one(library_of, way):
     library = library_of("learning")
-    first, other, rng = begun(library, way), begun(library, way), np.random.default_rng(2)
+    first, other, rng = start_tracker(library, way), start_tracker(library, way), np.random.default_rng(2)
     for sample in calls(rng, 150, way[0]):
         first.step(sample)
     state = first.save()
@@ -250,13 +250,13 @@ def test_a_restored_tracker_goes_on_as_the_saved_one(library_of, way):
 
 def test_a_state_is_refused_under_other_constants_or_another_path(library_of, way):
     library = library_of("informed")
-    state, tracker = begun(library, way).save(), CTracker(library)
+    state, tracker = start_tracker(library, way).save(), CTracker(library)
     before = tracker.raw.copy()
     assert tracker.restore(state) == exported.OTHER_PATH
     assert tracker.follow(library.path(POINTS + 1.0), way[1]) == exported.OK
     assert tracker.restore(state) == exported.OTHER_PATH
-    assert begun(library_of("production"), way).restore(state) == exported.OTHER_CONSTANTS
-    assert begun(library_of("lqr"), way).restore(state) == exported.OTHER_CONSTANTS
+    assert start_tracker(library_of("production"), way).restore(state) == exported.OTHER_CONSTANTS
+    assert start_tracker(library_of("lqr"), way).restore(state) == exported.OTHER_CONSTANTS
     assert (before[:64] == tracker.raw[:64]).all()
 
 
@@ -267,7 +267,7 @@ def another_tuning(way, library, **tuning):
 
 def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, way):
     library = library_of("informed")
-    tracker, other = begun(library, way), begun(library, way)
+    tracker, other = start_tracker(library, way), start_tracker(library, way)
     samples = [[0.05 * k, 0.05 * k, 0.6 * k, 0.3, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan] for k in range(60)]
     for sample in samples[:30]:
         tracker.step(sample)
@@ -282,7 +282,7 @@ def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, wa
     assert any(a.command != b.command for a, b in zip(changed, expected, strict=True))
 
 
-def changed(block, place, value, kind="<d"):
+def constants_with(block, place, value, kind="<d"):
     """The constants with another word at a byte, and the checksum of that."""
     content = bytearray(block.content)
     struct.pack_into(kind, content, place, value)
@@ -302,11 +302,11 @@ def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checks
         words |= {block.words[mpc + "longest_horizon"]: 5e-324, block.words[mpc + "period"]: 1e-9}
     for array in block.arrays:
         words |= {array.word + 1 + k: 1e300 for k in range(len(array.sizes))}
-    driving = begun(export, way)
+    driving = start_tracker(export, way)
     before = driving.raw.copy()
     for word, value in words.items():
         if word in places:
-            content = changed(block, places[word], value)
+            content = constants_with(block, places[word], value)
             assert CTracker(export).init(content) == exported.DAMAGED, word
             assert driving.load(content) in (exported.DAMAGED, exported.OTHER_SIZES), word
     assert (driving.raw == before).all()
@@ -348,7 +348,7 @@ def test_calls_out_of_order_are_refused(library_of, way):
 
 
 def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
-    tracker = begun(library_of("informed"), way)
+    tracker = start_tracker(library_of("informed"), way)
     tracker.raw[tracker.MARGIN + 1] |= 1  # as a call that is under way leaves it
     assert tracker.step([0.0] * 7)[0] == exported.BUSY
     assert tracker.load(tracker.constants) == exported.BUSY
@@ -356,7 +356,7 @@ def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
 
 
 def test_two_threads_on_one_tracker_get_a_command_or_a_refusal(library_of, way):
-    tracker, answers = begun(library_of("informed"), way), []
+    tracker, answers = start_tracker(library_of("informed"), way), []
 
     def call_often():
         for k in range(1000):
@@ -414,7 +414,7 @@ def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_
     subprocess.run(
         [find_program("gcc"), "-shared", "-fPIC", str(source), "-o", str(tmp_path / "m.so"), "-lm"], check=True
     )
-    modes, tracker = ctypes.CDLL(str(tmp_path / "m.so")), begun(library, way)
+    modes, tracker = ctypes.CDLL(str(tmp_path / "m.so")), start_tracker(library, way)
     for mode in (modes.flushed, modes.rounded):
         mode(1)
         codes = tracker.init(library.constants), tracker.step([0.0] * 7)[0]

@@ -32,7 +32,7 @@ def run_of(controller, scenario, profile="road", traced=False, scheduler=None, *
     return run, Span(n, 1, 0, 0.0)
 
 
-def shown(run, span, pieces):
+def frames_of(run, span, pieces):
     """The frames of a drive that is driven in pieces of so many periods."""
     settings = run.mpc.settings
     answer = run.law.answer if run.features.law else run.mpc.answer
@@ -63,7 +63,7 @@ CONTROLLERS = {
 def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
     scenario = at.load_scenario("double-lane-change")
     run, span = run_of(CONTROLLERS[name](), scenario)
-    numbers, _, _ = shown(run, span, pieces_of(span.periods))
+    numbers, _, _ = frames_of(run, span, pieces_of(span.periods))
     unbroken, _ = run_of(CONTROLLERS[name](), scenario, traced=True)
     rollout.rollout(span, Resident(unbroken))
     trace = unbroken.trace
@@ -81,9 +81,9 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
 
 def test_a_run_that_fails_ends_and_says_why():
     run, span = run_of(at.MPC(CAR, profile="road"), at.load_scenario("double-lane-change"), profile="paper")
-    shown(run, span, [20])
+    frames_of(run, span, [20])
     run.vehicles.block[STATE.y * 32] += 30.0
-    numbers, _, _ = shown(run, span, [5, 5])
+    numbers, _, _ = frames_of(run, span, [5, 5])
     assert len(numbers) == 0
     assert int(run.memory.own[0].ended) == OFF_ROAD != RUNNING
     assert run.memory.own[0].ended_at == pytest.approx(20 * run.settings.period)
@@ -94,7 +94,7 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
     run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(straight, speed=15.0), "paper")
     run.vehicles.start[0, STATE.y] = 0.4
     rollout.begin(1, Resident(run))
-    numbers, predicted, moves = shown(run, span, [120])
+    numbers, predicted, moves = frames_of(run, span, [120])
     horizon, delay = int(numbers[0, len(FRAME) + ANSWER.Np - 1]), run.mpc.settings.delay
     at_instant = 30
     points = predicted[at_instant].reshape(-1, 2)
@@ -113,7 +113,7 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
 
 def test_on_a_circle_the_predicted_path_is_the_circle():
     run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(CIRCLE, speed=10.0), "paper")
-    numbers, predicted, _ = shown(run, span, [200])
+    numbers, predicted, _ = frames_of(run, span, [200])
     points = predicted[-1].reshape(-1, 2)
     points = points[np.isfinite(points[:, 0])]
     radius = np.hypot(points[:, 0], points[:, 1] - 60.0)

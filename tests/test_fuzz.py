@@ -131,7 +131,7 @@ def test_no_wheel_has_such_an_angle(angle):
 STRAIGHT = Road.from_segments([Line(length=300.0)])
 
 
-def called(tracker, t, x=0.0, **values):
+def call_on_line(tracker, t, x=0.0, **values):
     """A call of a car on the line."""
     return tracker.step(t, **{"x": x, "y": 0.1, "yaw": 0.0, "speed": 10.0, "yaw_rate": 0.0, **values})
 
@@ -148,7 +148,7 @@ def test_what_no_car_can_have_counts_as_not_measured(absurd):
     for first in (absurd, {}):  # as the first call, and among others
         tracker.engage()
         calls = [{"x": 0.5 * k, **(absurd if k == 5 else first if k == 0 else {})} for k in range(9)]
-        steps = [called(tracker, 0.05 * k, **values) for k, values in enumerate(calls)]
+        steps = [call_on_line(tracker, 0.05 * k, **values) for k, values in enumerate(calls)]
         assert all(math.isfinite(step.command) for step in steps)
         if "now" not in absurd:
             assert steps[-1].status is Status.OK
@@ -156,8 +156,8 @@ def test_what_no_car_can_have_counts_as_not_measured(absurd):
 
 def test_a_path_too_far_away_to_compare_begins_the_tracker_anew():
     tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
-    before = called(tracker, 0.0)
+    before = call_on_line(tracker, 0.0)
     tracker.follow(Road.from_segments([Line(length=100.0)], start=(1e6, 1e6, 0.0)))
-    step = called(tracker, 0.05, 0.5)
+    step = call_on_line(tracker, 0.05, 0.5)
     assert step.status in (Status.OFF_PATH, Status.HELD)  # there is no foot of the car to steer by
     assert abs(step.command - before.command) <= tracker.controller.limits.move[1] + 1e-12

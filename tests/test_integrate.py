@@ -41,7 +41,7 @@ def crowd(rng, plant):
     return rows
 
 
-def advanced(plant, rows, members, substeps=12, h=0.008):
+def advance(plant, rows, members, substeps=12, h=0.008):
     """The vehicles `members` (columns of `rows`) after some steps, in a block of their own."""
     batch = vehicle_batch(plant.compiled, plant.packed(), np.zeros((SLOTS, 6)))
     slots = batch.block.reshape(STATES + INPUTS, SLOTS)
@@ -60,12 +60,12 @@ def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law,
     car = plant(CAR, LAWS[law], ROAD)
     rows = crowd(rng, car)
     members = rng.permutation(SLOTS)[:size]
-    together = advanced(car, rows, members)
+    together = advance(car, rows, members)
     assert np.isfinite(together[:STATES]).all()
     for slot in rng.permutation(size)[:4]:
-        alone = advanced(car, rows, members[slot : slot + 1])[:, 0]
+        alone = advance(car, rows, members[slot : slot + 1])[:, 0]
         assert np.array_equal(alone, together[:, slot], equal_nan=True)
-    other_order = advanced(car, rows, members[::-1])[:, ::-1]
+    other_order = advance(car, rows, members[::-1])[:, ::-1]
     assert np.array_equal(other_order, together, equal_nan=True)
 
 
@@ -88,7 +88,7 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
     written = reference.dual_track if plant is DualTrack else reference.single_track
     count, h = len(car.state_names), 0.005
     rows = crowd(rng, car)
-    after = advanced(car, rows, np.arange(6), substeps=1, h=h)
+    after = advance(car, rows, np.arange(6), substeps=1, h=h)
     for slot in range(6):
         x, u, environment = rows[:count, slot], rows[13:15, slot], rows[16:, slot]
         acceleration = None if np.isnan(rows[15, slot]) else rows[15, slot]

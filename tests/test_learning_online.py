@@ -195,7 +195,7 @@ def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_no
 # -- when it doubts ---------------------------------------------------------------------------------------------------
 def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step():
     mpc = learner()
-    driven(mpc, 40)
+    drive_steps(mpc, 40)
     memory = kernel.memory_of(mpc._mpc.informed.learned[0], 0)
     for i in range(4):
         hypothesis = kernel.hypothesis(i, mpc.learner.kept, mpc._mpc.informed.learned[0])
@@ -205,7 +205,7 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
     memory.disagreement = 20.0
     sigmas, cautions = [], []
     for seed in range(20):
-        driven(mpc, 1, seed + 1)
+        drive_steps(mpc, 1, seed + 1)
         sigmas.append(belief(mpc, "belief_stiffness_sigma"))
         cautions.append(belief(mpc, "used_caution"))
     assert belief(mpc, "belief_state") == BeliefState.CONTRADICTORY
@@ -215,7 +215,7 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
 
 
 # -- when it is still -------------------------------------------------------------------------------------------------
-def driven(mpc, steps=60, seed=0):
+def drive_steps(mpc, steps=60, seed=0):
     """Steps behind noisy samples of a car that wanders."""
     rng = np.random.default_rng(seed)
     for _ in range(steps):
@@ -232,7 +232,7 @@ def learned_of(mpc):
 @pytest.mark.parametrize("sample", [math.nan, 0.05])
 def test_missing_and_repeated_samples_teach_nothing(sample):
     mpc = learner()
-    driven(mpc)
+    drive_steps(mpc)
     before = learned_of(mpc)
     state = NOTHING_MEASURED.copy()
     state[[0, 2]] = sample
@@ -251,12 +251,12 @@ def test_missing_and_repeated_samples_teach_nothing(sample):
 
 def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     mpc = learner()
-    driven(mpc)
+    drive_steps(mpc)
     kernel.hypothesis(0, mpc.learner.kept, mpc._mpc.informed.learned[0]).x[0] = math.nan
     answer = mpc.step([0.01, 0.0, 0.01, 0.02], SPEED, np.zeros(40))
     assert math.isfinite(answer.angle)
     np.testing.assert_array_equal(mpc._mpc.informed.learned[0], mpc.learner.fresh())
-    driven(mpc)
+    drive_steps(mpc)
     assert np.isfinite(learned_of(mpc)).all()
 
 
@@ -315,7 +315,7 @@ def test_a_file_hands_what_was_learned_to_the_next_drive(tmp_path):
 
 def test_a_reset_forgets_and_a_restart_keeps_what_was_learned():
     mpc = learner()
-    driven(mpc)
+    drive_steps(mpc)
     learned = learned_of(mpc)
     copied = copy.deepcopy(mpc)
     Tracker(mpc, generate_road("country", 3, 300.0)).engage()
@@ -323,7 +323,7 @@ def test_a_reset_forgets_and_a_restart_keeps_what_was_learned():
     mpc.restart()
     assert learned_of(mpc) == learned
     assert mpc.angle == 0.0
-    driven(mpc, 3)
+    drive_steps(mpc, 3)
     mpc.reset()
     assert learned_of(mpc) == learned_of(learner())
     assert learned_of(copied) == learned

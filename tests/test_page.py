@@ -15,7 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from browsers import BROWSERS
-from pages import READY, STATE, differing, drive, exported, opened, served
+from pages import READY, STATE, differing, drive, export_page, open_page, serve
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """The file."""
-    return exported(tmp_path_factory.mktemp("page"))
+    return export_page(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
@@ -111,7 +111,7 @@ def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
 )  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
     find_program(name)
-    with served(page.parent) as (address, paths), BROWSERS[name]() as window:
+    with serve(page.parent) as (address, paths), BROWSERS[name]() as window:
         window.open(page.as_uri() if way == "disk" else f"{address}/{page.name}")
         window.wait(READY)
         window.wait(f"{STATE}.cars[0].last.station > 1")
@@ -129,7 +129,7 @@ def test_it_begins_with_what_it_was_exported_with(browser_window, tmp_path):
         tmp_path / "own.html", vehicle=car, road=points, speed=12.0, profile="production",
         controllers=["learning", "stanley"], seed=3,
     )  # fmt: skip
-    state = opened(browser_window, exported_page).run(STATE)
+    state = open_page(browser_window, exported_page).run(STATE)
     assert state["notice"] == ""
     assert state["setup"]["car"]["file"]["numbers"]["mass"] == 1300.0
     assert len(state["setup"]["road"]["points"]) == 41
@@ -149,8 +149,8 @@ FEW = "informed", "sheet"
     "name", [name if name in FEW else pytest.param(name, marks=pytest.mark.slow) for name in page_drives.SETUPS]
 )
 def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(browser_window, page, name):
-    expected = page_drives.driven(name)
-    answer = drive(opened(browser_window, page), page_drives.SETUPS[name], 4000)
+    expected = page_drives.drive_columns(name)
+    answer = drive(open_page(browser_window, page), page_drives.SETUPS[name], 4000)
     assert "refused" not in answer, answer
     for car, run in zip(answer["cars"], expected, strict=True):
         assert len(car["numbers"]) == len(run["x"]) > 50

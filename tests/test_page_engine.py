@@ -95,7 +95,7 @@ def frames(answers):
     return columns
 
 
-def refused(answers):
+def refusals_of(answers):
     return [(answer["where"], answer["message"]) for answer in answers if answer["type"] == "refused"]
 
 
@@ -108,8 +108,8 @@ FEW = "informed", "sheet"
 )
 def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     answers = ask(*drive(page_drives.SETUPS[name]))
-    assert refused(answers) == []
-    cars, expected = frames(answers), page_drives.driven(name)
+    assert refusals_of(answers) == []
+    cars, expected = frames(answers), page_drives.drive_columns(name)
     assert len(cars) == len(expected)
     assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
     assert [len(car["x"]) for car in cars] == [len(there["x"]) for there in expected]
@@ -119,11 +119,11 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
 TOUCHED = page_drives._setup(page_drives.SEDAN, {"name": "mountain"}, {"lateral": 2.5}, "road", "informed", seed=5)
 
 
-def changed(change, car=None):
+def change_message(change, car=None):
     return {"type": "change", "id": 1, "car": car, "what": change}
 
 
-def advanced(periods):
+def advance_message(periods):
     return {"type": "advance", "id": 1, "periods": periods}
 
 
@@ -207,8 +207,10 @@ TOUCHES = {
 def test_what_is_touched_is_what_the_package_does_with_the_same(name, ask):
     touch, change = TOUCHES[name]
     expected = by_python(300, touch, 700)
-    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advanced(300), changed(change), advanced(700))
-    assert refused(answers) == []
+    answers = ask(
+        {"type": "start", "id": 1, "setup": TOUCHED}, advance_message(300), change_message(change), advance_message(700)
+    )
+    assert refusals_of(answers) == []
     (columns,) = frames(answers)
     states = np.stack([columns[column] for column in ("x", "y", "yaw", "vx", "vy", "yaw_rate")], axis=-1)
     assert (states.view(np.int64) != expected[: len(states)].view(np.int64)).sum() == 0
@@ -217,8 +219,8 @@ def test_what_is_touched_is_what_the_package_does_with_the_same(name, ask):
 
 @pytest.mark.slow
 def test_a_wheel_that_is_pulled_is_let_go_again(ask):
-    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advanced(100),
-                  changed({"pull": {"angle": 0.05, "duration": 0.5}}), advanced(200))  # fmt: skip
+    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advance_message(100),
+                  change_message({"pull": {"angle": 0.05, "duration": 0.5}}), advance_message(200))  # fmt: skip
     (calm,), (columns,) = frames(ask(*drive(TOUCHED, 300))), frames(answers)
     distance = np.abs(columns["wheel_angle"] - calm["wheel_angle"][:300])
     assert distance[:100].max() == 0.0
@@ -230,9 +232,9 @@ def test_a_wheel_that_is_pulled_is_let_go_again(ask):
 def test_ice_that_is_laid_on_a_later_lap_lies_there_and_on_the_laps_after_it(ask):
     lap = page_setup.page_road("oval").length
     setup = {**TOUCHED, "road": {"name": "oval"}, "speed": {"constant": 15.0}}
-    laid = changed({"ice": {"from": 1.99 * lap, "to": 2.02 * lap, "friction": 0.4}})
-    answers = ask({"type": "start", "id": 1, "setup": setup}, advanced(300), laid, *[advanced(1500)] * 3)
-    assert refused(answers) == []
+    laid = change_message({"ice": {"from": 1.99 * lap, "to": 2.02 * lap, "friction": 0.4}})
+    answers = ask({"type": "start", "id": 1, "setup": setup}, advance_message(300), laid, *[advance_message(1500)] * 3)
+    assert refusals_of(answers) == []
     (columns,) = frames(answers)
     within = (columns["station"] % lap > 0.995 * lap) | (columns["station"] % lap < 0.015 * lap)
     later = within & (columns["station"] > 1.9 * lap)
@@ -264,11 +266,11 @@ HOSTILE = {
 def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
     wrong_setups = [_wrong(**{name: value}) for name, values in HOSTILE.items() for value in values]
     reading = {"type": "read", "what": "csv", "text": "x"}
-    requests = [changed({"truth": {"lag": 1}}), advanced(5), {"type": "none"}, reading]
+    requests = [change_message({"truth": {"lag": 1}}), advance_message(5), {"type": "none"}, reading]
     touches = [{"tuning": {"Np": 0}}, {"ice": {"from": 5, "to": 1, "friction": 0.3}}, {"none": 1}]
-    good_requests = [{"type": "start", "id": 2, "setup": TOUCHED}, advanced(20)]
-    answers = ask(*wrong_setups, *requests, *good_requests, *map(changed, touches), advanced(10))
-    words = refused(answers)
+    good_requests = [{"type": "start", "id": 2, "setup": TOUCHED}, advance_message(20)]
+    answers = ask(*wrong_setups, *requests, *good_requests, *map(change_message, touches), advance_message(10))
+    words = refusals_of(answers)
     assert len(words) == len(wrong_setups) + len(requests) + len(touches)
     assert [text for _, text in words if "engine failed" in text or text[-1] not in ".?"] == []
     assert answers[-1]["count"] == 10
@@ -286,7 +288,7 @@ def test_all_sliders_at_their_ends_neither_hang_nor_fail(ask):
         {"type": "start", "id": 1, "setup": {**TOUCHED, "controllers": [{"kind": "informed"}, {"kind": "learning"}]}}
     ]
     for change in [*ends, *tunings, *beliefs]:
-        messages += [changed(change), advanced(40)]
+        messages += [change_message(change), advance_message(40)]
     answers = ask(*messages)
-    assert refused(answers) == []
+    assert refusals_of(answers) == []
     assert sum(answer["type"] == "frames" for answer in answers) == len([*ends, *tunings, *beliefs])

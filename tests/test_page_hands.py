@@ -7,7 +7,7 @@ import pytest
 import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
 from browsers import Chromium
-from pages import STATE, opened
+from pages import STATE, open_page
 
 pytestmark = [
     pytest.mark.compiled,
@@ -30,7 +30,7 @@ def chromium():
 @pytest.fixture
 def window(chromium, file):
     """The page, paused."""
-    return opened(chromium, file)
+    return open_page(chromium, file)
 
 
 def click(page, name):
@@ -57,7 +57,7 @@ def test_it_drives_by_itself(chromium, file):
 
 # -- lessons ----------------------------------------------------------------------------------------------------------
 def test_a_lesson_sets_the_page_and_ticks_itself_when_it_was_done(chromium, file):
-    window = opened(chromium, file, "#lesson=lag")
+    window = open_page(chromium, file, "#lesson=lag")
     assert [car["failed"] for car in drive(window, 100)] == [None, None]
     assert not window.run("document.getElementById('lesson-mark').classList.contains('done')")
     click(window, "lesson-do")

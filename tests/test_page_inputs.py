@@ -28,13 +28,13 @@ needs_node = pytest.mark.needs("node")
 GIVEN = car_fields()
 
 
-def asked(calls):
+def ask(calls):
     """Answers of inputs.js to calls (function, arguments behind which `GIVEN` goes, further ones)."""
     asking = [{"call": call, "args": [*args, GIVEN, *further]} for call, args, further in calls]
-    return told(asking)
+    return ask_all(asking)
 
 
-def told(asking):
+def ask_all(asking):
     process = subprocess.run(
         [find_program("node"), str(HERE / "inputs.mjs"), str(PAGE / "inputs.js")], input=json.dumps(asking), text=True,
         capture_output=True, timeout=60, check=True,
@@ -43,7 +43,7 @@ def told(asking):
 
 
 def points_of(text, **options):
-    return asked([("readPoints", [text], [options])])[0]
+    return ask([("readPoints", [text], [options])])[0]
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------
@@ -54,13 +54,11 @@ CARS = [*map(load_vehicle, list_vehicles()), vehicle_from_data_sheet("own", 1500
 @needs_node
 def test_a_car_that_python_writes_is_read_as_it_is():
     saved = [page_car(car) for car in CARS]
-    read = [
-        answer["value"] for answer in asked([("readCarFile", [json.dumps({"page_car": car})], []) for car in saved])
-    ]
+    read = [answer["value"] for answer in ask([("readCarFile", [json.dumps({"page_car": car})], []) for car in saved])]
     for car, answer in zip(saved, read, strict=True):
         absent = {part: dict.fromkeys(SECTIONS[part].model_fields) for part in ("steering", "body") if not car[part]}
         assert answer == {**car, **absent}
-    assert [answer["value"] for answer in asked([("checkedCar", [car], []) for car in read])] == read
+    assert [answer["value"] for answer in ask([("checkedCar", [car], []) for car in read])] == read
 
 
 def test_the_command_writes_what_the_page_reads(monkeypatch, capsys, tmp_path):
@@ -82,9 +80,9 @@ def test_what_is_no_car_is_refused_in_words():
         {**car, "tyre": {"name": "own", "numbers": {**car["tyre"]["numbers"], "linear": 7}}},
         {**car, "tyre": {"numbers": []}},
     ]  # fmt: skip
-    for answer in asked([("checkedCar", [car], []) for car in cars]):
+    for answer in ask([("checkedCar", [car], []) for car in cars]):
         is_refused_in_words(answer)
-    (answer,) = asked([("checkedCar", [{**car, "numbers": {"mass": -1}, "steering": {"lag": 99}}], [])])
+    (answer,) = ask([("checkedCar", [{**car, "numbers": {"mass": -1}, "steering": {"lag": 99}}], [])])
     assert "mass = -1: must be a finite number > 0 and <= 100000 (kg, total mass m)." in answer["error"]
     assert "steering.lag = 99: must be a finite number >= 0 and <= 10" in answer["error"]
 
@@ -112,8 +110,8 @@ def test_random_bytes_and_torn_files_are_refused_in_words_and_soon():
         texts.append(bytes(torn[: rng.randint(1, len(torn))]))
     texts += [b"[" * 200_000, b'"' * 99_999, b'{"page_car":' * 50_000]
     calls = [{"base64": base64.b64encode(text).decode()} for text in texts]
-    answers = told([{"call": "readCarFile", "args": [GIVEN], **call} for call in calls])
-    answers += told([{"call": "readPoints", "args": [GIVEN], **call} for call in calls])
+    answers = ask_all([{"call": "readCarFile", "args": [GIVEN], **call} for call in calls])
+    answers += ask_all([{"call": "readPoints", "args": [GIVEN], **call} for call in calls])
     for answer in answers:
         assert answer["ms"] < 3000.0
         if "error" in answer:
@@ -143,14 +141,14 @@ def test_a_typed_sheet_becomes_the_car_that_python_makes_of_it():
         "cg_height": "",
         "name": "a",
     }
-    sheet = asked([("readSheet", [typed], [])])[0]["value"]
+    sheet = ask([("readSheet", [typed], [])])[0]["value"]
     assert sheet == {"name": "a", "mass": 1500, "wheelbase": 2.7, "load": 75, "truck": 1, "known": {"lf": 1.2}}
     car, within = row_of(cars.Car, mass=sheet["mass"], **sheet["known"]), row_of(cars.KnownWithin)
     assert cars.complete_car(sheet["wheelbase"], sheet["load"], sheet["truck"], car, within) == cars.COMPLETE
     rows = [
         dict(zip(row.dtype.names, (None if x != x else x for x in row.tolist()), strict=True)) for row in (car, within)
     ]
-    read_car = asked([("carOfSheet", [sheet, *rows], [])])[0]["value"]
+    read_car = ask([("carOfSheet", [sheet, *rows], [])])[0]["value"]
     expected = vehicle_from_data_sheet("a", 1500.0, 2.7, load=75.0, body_style="truck", lf=1.2)
     assert read_car["numbers"] == {key: getattr(expected, key) for key in read_car["numbers"]}
     assert read_car["known_within"] == json.loads(expected.known_within.model_dump_json())
@@ -174,7 +172,7 @@ WRONG_SHEETS = [
 
 @needs_node
 def test_a_wrong_sheet_is_refused_in_words():
-    answers = asked([("readSheet", [typed], []) for typed, _ in WRONG_SHEETS])
+    answers = ask([("readSheet", [typed], []) for typed, _ in WRONG_SHEETS])
     for (_, words), answer in zip(WRONG_SHEETS, answers, strict=True):
         assert words in answer["error"]
         is_refused_in_words(answer)
@@ -195,7 +193,7 @@ TABLES = [
 
 @needs_node
 def test_points_are_read_with_any_separator_and_header():
-    for answer in asked([("readPoints", [text], [{"name": "a"}]) for text in TABLES]):
+    for answer in ask([("readPoints", [text], [{"name": "a"}]) for text in TABLES]):
         points = answer["value"]
         assert points["points"] == [0, 0, 30, 0, 60, 1, 90, 4, 120, 9]
         assert (points["count"], points["closed"], points["name"]) == (5, False, "a")
@@ -259,7 +257,7 @@ HEADERS = {
 @needs_node
 def test_the_page_takes_the_same_line_for_the_header():
     for (text, refused), answer in zip(
-        HEADERS.items(), asked([("readPoints", [text], [{}]) for text in HEADERS]), strict=True
+        HEADERS.items(), ask([("readPoints", [text], [{}]) for text in HEADERS]), strict=True
     ):
         if refused is None:
             assert np.reshape(answer["value"]["points"], (-1, 2)).tolist() == [list(point) for point in XY], text
@@ -293,7 +291,7 @@ NO_ROADS = [
 
 @needs_node
 def test_points_that_make_no_road_are_refused_in_words():
-    answers = asked([("readPoints", [text], [{}]) for text, _ in NO_ROADS])
+    answers = ask([("readPoints", [text], [{}]) for text, _ in NO_ROADS])
     for (_, words), answer in zip(NO_ROADS, answers, strict=True):
         assert words in answer["error"]
         is_refused_in_words(answer)
@@ -314,7 +312,7 @@ def test_what_path_through_answers_is_said_with_the_line():
         "KINK": answered([*straight, (40.0, 0.001), (30.0, 0.0), (20.0, 0.0)]),
     }  # fmt: skip
     road = {"count": 6, "lines": list(range(11, 31))}
-    answers = asked([("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *statuses.values()]])
+    answers = ask([("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *statuses.values()]])
     assert answers[0]["value"] is None
     for (name, (status, place)), answer in zip(statuses.items(), answers[1:], strict=True):
         assert status == getattr(path, name)
@@ -323,7 +321,7 @@ def test_what_path_through_answers_is_said_with_the_line():
 
 
 # -- a drive as a table ------------------------------------------------------------------------------------------------
-def driven(profile="road"):
+def drive_history(profile="road"):
     """A drive as a page keeps it."""
     car = load_vehicle("midsize-sedan")
     road = at.generate_road("country", seed=2, length=600.0)
@@ -340,8 +338,8 @@ def driven(profile="road"):
 @needs_node
 def test_python_reads_the_drive_that_the_page_writes(tmp_path):
     assert set(GIVEN["drive"]) <= set(ALIASES)
-    run, history = driven()
-    text = asked([("writeDrive", [history, 0], [])])[0]["value"]
+    run, history = drive_history()
+    text = ask([("writeDrive", [history, 0], [])])[0]["value"]
     (tmp_path / "drive.csv").write_text(text)
     columns = read_columns(tmp_path / "drive.csv", Reading())
     assert columns.commanded

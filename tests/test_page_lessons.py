@@ -17,8 +17,8 @@ ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_se
 FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
 
 
-def asked(expression, argument=None):
-    """The value of an expression among the page's scripts; given: what `asked` is in it."""
+def evaluate(expression, argument=None):
+    """The value of an expression among the page's scripts; argument: what `asked` is in it."""
     script = "\n".join((SOURCES / name).read_text() for name in FILES)
     program = f"""
     const asked = {json.dumps(argument)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
@@ -32,7 +32,7 @@ def asked(expression, argument=None):
 
 @pytest.fixture(scope="module")
 def lessons():
-    return {lesson["id"]: lesson for lesson in asked("ALL_LESSONS.map((each) => ({...each, setup: each.setup()}))")}
+    return {lesson["id"]: lesson for lesson in evaluate("ALL_LESSONS.map((each) => ({...each, setup: each.setup()}))")}
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.page_inputs import page_car
 from browsers import Chromium, Media
-from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, exported, opened
+from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, export_page, open_page
 
 pytestmark = [
     pytest.mark.compiled,
@@ -25,7 +25,7 @@ OPEN_ALL = (
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    return exported(tmp_path_factory.mktemp("page"))
+    return export_page(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def window(file):
 
 def unfolded(window, file, fragment=""):
     """The page, paused, with all its panels open."""
-    opened(window, file, fragment).run(OPEN_ALL)
+    open_page(window, file, fragment).run(OPEN_ALL)
 
 
 # -- keys -------------------------------------------------------------------------------------------------------------

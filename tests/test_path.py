@@ -21,7 +21,7 @@ OVAL = np.stack([50.0 * np.cos(TURNS), 20.0 * np.sin(TURNS)], axis=-1)
 FEW = [(0.0, 0.0), (1.0, 0.1), (2.0, 0.4), (3.0, 0.5), (4.0, 0.2)]
 
 
-def made(points, closed=False):
+def make_path(points, closed=False):
     """Status, number of pieces or of a point, and the memory, filled with what is no number before."""
     points = np.array(points, dtype=np.float64)
     memory = np.full(max(path.path_words(points, closed), 999), np.nan)
@@ -29,7 +29,7 @@ def made(points, closed=False):
 
 
 def line_of(points, closed=False):
-    status, count, memory = made(points, closed)
+    status, count, memory = make_path(points, closed)
     line, _ = path.line_in(memory)
     assert (status, count) == (path.OK, len(line.pieces))
     return line
@@ -63,7 +63,7 @@ def test_a_path_is_the_cubic_spline_of_scipy_at_its_arc_length(points, closed):
 def test_a_memory_holds_what_controllers_read_of_a_road():
     """Numbers, pieces and headings as `pack_roads` has them, to the bit."""
     for points, closed in ((BENDS, False), (OVAL, True)):
-        _, _, memory = made(points, closed)
+        _, _, memory = make_path(points, closed)
         (start, pieces, numbers), headings = path.line_in(memory)
         road = road_through(points, closed=closed)
         packed = pack_roads([road])
@@ -136,7 +136,7 @@ def test_points_that_are_denser_in_a_bend_stay():
 
 
 # -- what is no path --------------------------------------------------------------------------------------------------
-def changed(row, value):
+def bends_with(row, value):
     points = BENDS.copy()
     points[row] = value
     return points
@@ -148,10 +148,10 @@ def changed(row, value):
         (FEW[:3], path.TOO_FEW, 3),
         (np.zeros((0, 2)), path.TOO_FEW, 0),
         (np.zeros((9, 1)), path.TOO_FEW, 9),
-        (changed(5, math.nan), path.NOT_FINITE, 5),
-        (changed(5, -math.inf), path.NOT_FINITE, 5),
-        (changed(5, 1e9), path.TOO_FAR, 5),
-        (changed(5, 2e4), path.TOO_FAR, 4),
+        (bends_with(5, math.nan), path.NOT_FINITE, 5),
+        (bends_with(5, -math.inf), path.NOT_FINITE, 5),
+        (bends_with(5, 1e9), path.TOO_FAR, 5),
+        (bends_with(5, 2e4), path.TOO_FAR, 4),
         (np.repeat(BENDS[:3], 4, axis=0), path.TOO_FEW, 3),
         (np.zeros((9, 2)), path.TOO_FEW, 1),
         (1e-5 * BENDS, path.TOO_SHORT, 0),
@@ -159,7 +159,7 @@ def changed(row, value):
     ],
 )
 def test_what_makes_no_path_has_a_status_and_a_place(points, status, where):
-    assert made(points)[:2] == (status, where)
+    assert make_path(points)[:2] == (status, where)
 
 
 def test_no_number_outside_of_a_memory_is_touched_and_too_small_a_one_is_said():
@@ -185,7 +185,7 @@ def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
         if count and rng.random() < 0.5:
             points[rng.integers(count)] = rng.choice([math.nan, math.inf, 1e300, -1e9, 0.0, points[0, 0]], 2)
         closed = bool(rng.random() < 0.3)
-        status, line_length, memory = made(points, closed)
+        status, line_length, memory = make_path(points, closed)
         statuses.add(status)
         if status == path.OK:
             line, _ = path.line_in(memory)

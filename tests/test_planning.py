@@ -52,7 +52,7 @@ def to_plan(line, car=None, friction=0.9, bounds=BOUNDS, **along):
     return kernel.Planning(route, bounds, plant, NONE, NONE, NONE, np.zeros((0, 0)), table)
 
 
-def planned(planning):
+def plan_of(planning):
     status, _, _, duration = kernel.plan_along_road(planning)
     assert status == kernel.PLANNED
     rows = (planning.table[row] for row in (PLAN.s, PLAN.speed, PLAN.time))
@@ -65,7 +65,7 @@ def planned(planning):
 def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_the_bit(points, closed, car):
     bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
     planning = to_plan(line_through(points, closed), car, friction=DRY.value[0], bounds=bounds)
-    plan, road = planned(planning), road_through(points, closed=closed)
+    plan, road = plan_of(planning), road_through(points, closed=closed)
     plan_in_python = plan_speed(road, car)
     np.testing.assert_array_equal(
         planning.table[[PLAN.s, PLAN.speed, PLAN.time]], [plan_in_python.s, plan_in_python.speed, plan_in_python.time]
@@ -93,7 +93,7 @@ def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_th
 def test_a_circle_is_driven_at_the_root_of_what_is_felt_times_the_radius(friction, bank):
     road = Road.from_segments([Arc(length=80.0 * math.pi, curvature=1.0 / 40.0)], closed=True)
     planning = to_plan(road.packed(), friction=friction, bank=bank)
-    plan = planned(planning)
+    plan = plan_of(planning)
     felt = min(3.0, 0.9 * friction * GRAVITY * math.cos(bank)) + GRAVITY * math.sin(bank)
     np.testing.assert_allclose(plan.speed**2, 40.0 * felt, rtol=1e-12)
 
@@ -101,7 +101,7 @@ def test_a_circle_is_driven_at_the_root_of_what_is_felt_times_the_radius(frictio
 def test_a_straight_road_is_driven_at_the_top_speed():
     line = Road.from_segments([Line(length=900.0)]).packed()
     for top, speed in ((math.nan, 27.0), (41.0, 41.0)):
-        assert (planned(to_plan(line, bounds=BOUNDS._replace(top_speed=top))).speed == speed).all()
+        assert (plan_of(to_plan(line, bounds=BOUNDS._replace(top_speed=top))).speed == speed).all()
 
 
 @pytest.mark.parametrize("name", list_vehicles())
@@ -130,10 +130,10 @@ def test_nowhere_is_more_asked_of_tyres_engine_and_brakes_than_they_have(name):
 
 def test_a_lap_is_periodic_and_no_other_lap_is_faster():
     line = line_through(OVAL, True)
-    plan = planned(to_plan(line, CAR))
+    plan = plan_of(to_plan(line, CAR))
     assert plan.speed[0] == plan.speed[-1]
     # the same line with its seam elsewhere: the same speeds
-    turned = planned(to_plan(line_through(np.roll(OVAL, 5, axis=0).copy(), True), CAR))
+    turned = plan_of(to_plan(line_through(np.roll(OVAL, 5, axis=0).copy(), True), CAR))
     assert turned.duration == pytest.approx(plan.duration, rel=2e-3)
     assert turned.speed.min() == pytest.approx(plan.speed.min(), rel=2e-3)
 

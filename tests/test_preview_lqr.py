@@ -24,7 +24,7 @@ every_car = pytest.mark.parametrize("car", [PAPER, SEDAN], ids=lambda car: car.n
 every_lag = pytest.mark.parametrize("lag", [0.0, 0.2])
 
 
-def made(car=SEDAN, lag: float = 0.2, dead_time: float = 0.0, **options) -> PreviewLQR:
+def make_controller(car=SEDAN, lag: float = 0.2, dead_time: float = 0.0, **options) -> PreviewLQR:
     belief = Steering(lag=lag, dead_time=dead_time)
     return PreviewLQR(car, **{"profile": "paper", "period": 0.05, "belief": belief, "limits": WIDE, **options})
 
@@ -43,7 +43,7 @@ def model_of(car, lag: float, speed: float):
 @every_lag
 @pytest.mark.parametrize("speed", [2.0, 8.0, 30.0])
 def test_the_gains_are_those_of_the_riccati_equation_with_the_preview_as_states(car, lag, speed):
-    controller = made(car, lag, ahead=0.5, q_e=2.0, q_heading=30.0, r=200.0)
+    controller = make_controller(car, lag, ahead=0.5, q_e=2.0, q_heading=30.0, r=200.0)
     A, B, _ = model_of(car, lag, speed)
     n, count = len(A), controller.previewed
     X, _ = steady_turn(car, speed, n)
@@ -66,7 +66,7 @@ def test_the_steady_turn_is_a_fixed_point_of_the_path_model(car, lag, speed):
     np.testing.assert_allclose(A @ X + B * U + E, X, atol=1e-12)
 
 
-def asked_gain(controller: PreviewLQR, speed: float) -> np.ndarray:
+def applied_gain(controller: PreviewLQR, speed: float) -> np.ndarray:
     """The gain on v_y, psi, r and y that the compiled law applies on a straight path."""
     small, answer, gain = 1e-6, np.zeros(1 + len(controller.diagnostic_names)), []
     for state in np.eye(4):
@@ -80,15 +80,15 @@ def asked_gain(controller: PreviewLQR, speed: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("speeds", "tolerance"), [(SPEEDS[[3, 12, 19]], 1e-7), (np.sqrt(SPEEDS[3:5].prod()), 0.02)])
 def test_the_law_applies_the_gains_at_the_nodes_of_its_table_and_nearly_so_between(speeds, tolerance):
-    controller = made()
+    controller = make_controller()
     for speed in np.atleast_1d(speeds):
         expected = controller.gains_at(speed)[[0, 1, 2, 4]]
-        np.testing.assert_allclose(asked_gain(controller, speed), expected, rtol=tolerance)
+        np.testing.assert_allclose(applied_gain(controller, speed), expected, rtol=tolerance)
 
 
 @pytest.mark.parametrize("factor", [0.03, 0.5, 30.0])
 def test_weights_that_change_change_the_gains_as_weights_given_at_the_start(factor):
-    controller, expected = made(), made(q_e=factor)
+    controller, expected = make_controller(), make_controller(q_e=factor)
     controller._tuning[0] = factor
     answers = [law.step([0.0, 0.0, 0.0, 0.01], 12.0, np.zeros(1)).angle for law in (controller, expected)]
     assert answers[0] == pytest.approx(answers[1], rel=0.06)
@@ -97,7 +97,7 @@ def test_weights_that_change_change_the_gains_as_weights_given_at_the_start(fact
 @every_lag
 def test_rolling_through_the_dead_time_is_the_optimum_with_the_commands_on_their_way_as_states(lag, rng):
     speed, late = SPEEDS[12], 3
-    controller = made(lag=lag, dead_time=late * 0.05)
+    controller = make_controller(lag=lag, dead_time=late * 0.05)
     A, B, _ = model_of(SEDAN, lag, speed)
     n = len(A)
     F = np.zeros((n + late, n + late))  # behind the state the commands, the one that acts next first
@@ -125,7 +125,7 @@ def test_rolling_through_the_dead_time_is_the_optimum_with_the_commands_on_their
 def test_in_the_steady_turn_of_the_linear_car_it_keeps_its_angle(car, lag, speed):
     radius = 60.0
     ring = Road.from_segments([Arc(length=radius * 2.0 * math.pi, curvature=1.0 / radius)], name="ring", closed=True)
-    controller = made(car, lag, dead_time=0.12)
+    controller = make_controller(car, lag, dead_time=0.12)
     X, U = steady_turn(car, speed, 4)
     w = speed / radius
     controller.applied(U * w)
@@ -171,7 +171,7 @@ def driven_cost(controller, lag: float) -> float:
 @pytest.mark.compiled
 @every_lag
 def test_on_clothoids_no_lqr_without_preview_has_a_lower_cost(lag):
-    cost = driven_cost(made(lag=lag, **WEIGHTS), lag)
+    cost = driven_cost(make_controller(lag=lag, **WEIGHTS), lag)
     for time in (0.0, 0.1, 0.2, 0.3):
         without = at.LQR(SEDAN, **WEIGHTS, period=0.05, limits=WIDE, preview_time=time)
         assert cost < 0.99 * driven_cost(without, lag)
@@ -179,7 +179,7 @@ def test_on_clothoids_no_lqr_without_preview_has_a_lower_cost(lag):
 
 @pytest.mark.compiled
 def test_the_further_it_sees_the_lower_its_cost_until_all_that_counts_is_seen():
-    costs = [driven_cost(made(ahead=ahead), 0.2) for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
+    costs = [driven_cost(make_controller(ahead=ahead), 0.2) for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
     assert costs[:4] == sorted(costs[:4], reverse=True)
     assert costs[0] > 1.2 * costs[2]
     assert costs[4] == pytest.approx(costs[3], rel=1e-3)

@@ -24,7 +24,7 @@ from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.drive.batch import Batch
 from adaptrack.road import plan_speed, road_through
-from by_kernels import CASES, prepared
+from by_kernels import CASES, make_parts
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
 from programs import find_program
@@ -41,7 +41,7 @@ EMULATED = {
 STEPS, AHEAD = 3000, 60
 
 
-def built(name):
+def built_library(name):
     try:
         entry = library.manifest()["libraries"].get(name)
         return None if entry is None else library.whole(entry)
@@ -49,15 +49,15 @@ def built(name):
         return None
 
 
-def own():
-    path = built(library.processor())
+def own_library():
+    path = built_library(library.processor())
     if path is None:
         pytest.skip("the kernels have not been compiled")
     return ctypes.CDLL(str(path))
 
 
 def test_a_library_leaves_nothing_undefined():
-    paths = {name: built(name) for name in library.manifest()["libraries"]}
+    paths = {name: built_library(name) for name in library.manifest()["libraries"]}
     assert library.processor() in paths
     assert {name: undefined(path.read_bytes()) for name, path in paths.items()} == {name: [] for name in paths}
 
@@ -145,7 +145,7 @@ def synthesis(rng):
     """The numbers of MPCs and of an LQR, made of cars and beliefs."""
     image = Image()
     for name, case in itertools.product(("paper", "midsize-sedan", "van"), CASES):
-        order, parts, constants = prepared(at.load_vehicle(name), CASES[case])
+        order, parts, constants = make_parts(at.load_vehicle(name), CASES[case])
         rows, memory = [image.put(np.array([row])) for row in (order, parts)], image.record(constants)
         image.do(MAKE, *rows, memory)
         for values in constants:
@@ -167,7 +167,7 @@ def images():
     if INTERPRETED:
         pytest.skip("needs compiled kernels")
     drawn_images = {name: make(np.random.default_rng(5)) for name, make in IMAGES.items()}
-    answers = own()
+    answers = own_library()
     return {name: (image, run(image, answers)) for name, image in drawn_images.items()}
 
 
@@ -187,7 +187,7 @@ def by_emulator(name, image, folder):
         "".join(f"extern void adaptrack_{name}(void);\n" for name in names)
         + f"static void (*FUNCTIONS[])(void) = {{{', '.join(f'adaptrack_{name}' for name in names) or '0'}}};\n"
     )
-    library_of_it = shutil.copy(built(name), folder / ("kernels.dll" if emulator == "wine64" else "kernels.so"))
+    library_of_it = shutil.copy(built_library(name), folder / ("kernels.dll" if emulator == "wine64" else "kernels.so"))
     driver = str(folder / "driver.exe")
     inputs = str(HERE / "driver.c"), library_of_it
     subprocess.run([compiler_path, "-O1", f"-I{folder}", *inputs, "-o", driver], check=True)
@@ -196,7 +196,7 @@ def by_emulator(name, image, folder):
 
 
 def by_node(name, image, folder):
-    files = HERE / "driver.mjs", built(name), folder / "image", folder / "answers"
+    files = HERE / "driver.mjs", built_library(name), folder / "image", folder / "answers"
     return [find_program("node"), *map(str, files), *image.functions]
 
 
@@ -204,7 +204,7 @@ def by_node(name, image, folder):
 @pytest.mark.parametrize("content", IMAGES)
 @pytest.mark.parametrize("name", [*EMULATED, "wasm32"])
 def test_another_processor_gives_the_same_bits(name, content, images, tmp_path):
-    if built(name) is None:
+    if built_library(name) is None:
         pytest.skip(f"not compiled: {library.BUILD} {name}")
     image, expected = images[content]
     image.words().tofile(tmp_path / "image")
@@ -220,10 +220,10 @@ def test_another_processor_gives_the_same_bits(name, content, images, tmp_path):
 def test_an_older_processor_of_this_kind_gives_the_same_bits(name, content, images):
     if library.processor() <= name:  # the names of a kind are in the order of their age
         pytest.skip(f"needs a younger processor; this is {library.processor()}")
-    if built(name) is None:
+    if built_library(name) is None:
         pytest.skip(f"not compiled: {library.BUILD} {name}")
     image, expected = images[content]
-    assert same(run(image, ctypes.CDLL(str(built(name)))), expected) == 0
+    assert same(run(image, ctypes.CDLL(str(built_library(name)))), expected) == 0
 
 
 # -- microcontrollers -------------------------------------------------------------------------------------------------
@@ -296,7 +296,7 @@ def test_an_image_of_a_drive_is_that_drive():
                   [at.load_scenario("double-lane-change")], "road")  # fmt: skip
     image = Image()
     add_drive(image, batch)
-    answers = run(image, own())
+    answers = run(image, own_library())
     zero, seeds = np.zeros(1, np.int64), np.full(1, 7, np.int64)
     expected = batch.run(zero, batch.tuning[None], seeds, 1, traced=True)
     words = np.concatenate([np.frombuffer(array.tobytes(), np.int64) for array in (expected.result, *expected.trace)])

@@ -121,7 +121,7 @@ def variables(rng, count=50):
 
 
 # -- entries ----------------------------------------------------------------------------------------------------------
-def shifted(function):
+def shift(function):
     """The same function, a little higher."""
     if isinstance(function, Network):
         biases = (*function.biases[:-1], function.biases[-1] + 0.2)
@@ -136,7 +136,7 @@ def shifted(function):
 def test_a_function_moves_the_number_of_its_own_entry_and_no_other(kind, entry, rng):
     schedule = KINDS[kind](rng)
     tuning = dict(schedule.tuning)
-    tuning[entry] = dataclasses.replace(tuning[entry], function=shifted(tuning[entry].function))
+    tuning[entry] = dataclasses.replace(tuning[entry], function=shift(tuning[entry].function))
     rows = variables(rng, 200)
     moved = schedule.batch(rows) != dataclasses.replace(schedule, tuning=tuning).batch(rows)
     assert moved.any(axis=0).tolist() == [name == entry for name in ENTRIES]
@@ -217,33 +217,33 @@ def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithm
 GOOD = {"Np": 30.0, "Nc": 5.0, "Q": 1.0, "R": 1.0}
 
 
-def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
+def make_schedule(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
     return Learned({**GOOD, **functions}, inputs, domain, bounds)
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: made(("sped",)), "'sped'. Did you mean 'speed'"),
-        (lambda: made(()), "one or more different"),
-        (lambda: made(domain=[[0.0, math.nan]]), "domain"),
-        (lambda: made(domain=[[0.0, 1.0]] * 2), "domain"),
+        (lambda: make_schedule(("sped",)), "'sped'. Did you mean 'speed'"),
+        (lambda: make_schedule(()), "one or more different"),
+        (lambda: make_schedule(domain=[[0.0, math.nan]]), "domain"),
+        (lambda: make_schedule(domain=[[0.0, 1.0]] * 2), "domain"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 1.0}, ("speed",), [[0, 1]]), "there must be Np, Nc, Q, R"),
-        (lambda: made(r=1.0), "unknown entry 'r'"),
-        (lambda: made(bounds={"NP": (1, 2)}), "unknown entry 'NP'"),
-        (lambda: made(log10_ratio=1.0), "either R or log10_ratio"),
+        (lambda: make_schedule(r=1.0), "unknown entry 'r'"),
+        (lambda: make_schedule(bounds={"NP": (1, 2)}), "unknown entry 'NP'"),
+        (lambda: make_schedule(log10_ratio=1.0), "either R or log10_ratio"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 2.0, "log10_ratio": 0.0}, ("speed",), [[0, 1]]), "Q must be 1"),
-        (lambda: made(Q=math.nan), "Q = nan: must be finite"),
-        (lambda: made(R=None), "must be a number"),
-        (lambda: made(Np=line(0.0, 1.0, 2.0, 3.0), inputs=("speed", "wind"), domain=[[0, 1]] * 2), "has 1 inputs"),
-        (lambda: made(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
-        (lambda: made(bounds={"Np": (0, 20)}), "bounds of Np"),
-        (lambda: made(bounds={"Nc": (4, 3)}), "bounds of Nc"),
-        (lambda: made(bounds={"R": (0.0, 1.0)}), "bounds of R"),
-        (lambda: made(bounds={"Q": (math.nan, 1.0)}), "bounds of Q"),
-        (lambda: made(bounds={"Np": (1, 2000)}), "up to 2000 steps"),
-        (lambda: dataclasses.replace(made(), name=None), "name must be text"),
-        (lambda: made().batch(np.zeros((2, 8))), "need a row for each"),
+        (lambda: make_schedule(Q=math.nan), "Q = nan: must be finite"),
+        (lambda: make_schedule(R=None), "must be a number"),
+        (lambda: make_schedule(("speed", "wind"), [[0, 1]] * 2, Np=line(0.0, 1.0, 2.0, 3.0)), "has 1 inputs"),
+        (lambda: make_schedule(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
+        (lambda: make_schedule(bounds={"Np": (0, 20)}), "bounds of Np"),
+        (lambda: make_schedule(bounds={"Nc": (4, 3)}), "bounds of Nc"),
+        (lambda: make_schedule(bounds={"R": (0.0, 1.0)}), "bounds of R"),
+        (lambda: make_schedule(bounds={"Q": (math.nan, 1.0)}), "bounds of Q"),
+        (lambda: make_schedule(bounds={"Np": (1, 2000)}), "up to 2000 steps"),
+        (lambda: dataclasses.replace(make_schedule(), name=None), "name must be text"),
+        (lambda: make_schedule().batch(np.zeros((2, 8))), "need a row for each"),
         (lambda: Lookup({"speed": [1, 2]}, np.ones((2, 3))), r"shape \(2, 4\)"),
         (lambda: Lookup({"speed": [2, 1]}, np.ones((2, 4))), "ascend"),
         (lambda: Lookup({"speed": [1, 2]}, np.zeros((2, 4))), "positive"),
@@ -253,13 +253,13 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: Table(([1.0, 2.0],), np.array([1.0, math.nan])), "finite values"),
         (lambda: Table((), np.float64(1.0)), "finite values"),
         (lambda: Guarded(lambda condition: FALLBACK, FALLBACK), "must be a Schedule"),
-        (lambda: Guarded(made(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2)), "must be 3 values"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, -0.3)), "must be a finite number > 0"),
-        (lambda: Guarded(made(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
-        (lambda: Guarded(made(), FALLBACK, slack=math.nan), "slack"),
-        (lambda: Guarded(made(), FALLBACK, offset_limit=0.0), "offset_limit"),
-        (lambda: Guarded(made(), FALLBACK, hold=0), "hold"),
+        (lambda: Guarded(make_schedule(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
+        (lambda: Guarded(make_schedule(), FALLBACK, rates=(5, 2)), "must be 3 values"),
+        (lambda: Guarded(make_schedule(), FALLBACK, rates=(5, 2, -0.3)), "must be a finite number > 0"),
+        (lambda: Guarded(make_schedule(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
+        (lambda: Guarded(make_schedule(), FALLBACK, slack=math.nan), "slack"),
+        (lambda: Guarded(make_schedule(), FALLBACK, offset_limit=0.0), "offset_limit"),
+        (lambda: Guarded(make_schedule(), FALLBACK, hold=0), "hold"),
         (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "table over speed, friction"),
         (lambda: dataclasses.replace(stability_map(lambda *_: 0.5), limit=math.nan), "limit"),
         (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
@@ -456,7 +456,7 @@ def sober(kind, rng):
     return dataclasses.replace(schedule, tuning=tunings)
 
 
-def driven(kind, rng, **options):
+def make_mpc(kind, rng, **options):
     """An MPC that preview and a schedule steer through the road profile."""
     return published_mpc(CAR, FALLBACK, period=0.05, preview=True, scheduler=sober(kind, rng), **options)
 
@@ -464,7 +464,7 @@ def driven(kind, rng, **options):
 @pytest.mark.compiled
 @every_kind
 def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kind, rng):
-    mpc, plant = driven(kind, rng), DualTrack(CAR, "magic-formula")
+    mpc, plant = make_mpc(kind, rng), DualTrack(CAR, "magic-formula")
     ours = simulate(plant, mpc, LONG, profile="road", seed=5)
     counts = mpc.scheduler_counts
     assert same(ours, rollout(plant, mpc, LONG, profile="road", seed=5))
@@ -480,7 +480,7 @@ def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kin
 
 
 def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
-    mpc = driven("guarded", rng)
+    mpc = make_mpc("guarded", rng)
     assert mpc.scheduler_counts == dict.fromkeys(guard.COUNTS, 0)
     simulate(SingleTrack(CAR), mpc, LANE_CHANGE, profile="road")
     first = mpc.scheduler_counts

@@ -249,7 +249,7 @@ def sensed_row(measured):
     return np.append(measured, np.zeros(len(sensed()) - len(measured)))
 
 
-def knowing(lag=0.15, dead_time=0.05, noise=ROAD_SENSORS, moves=None):
+def informed_mpc(lag=0.15, dead_time=0.05, noise=ROAD_SENSORS, moves=None):
     model = PathModel(CAR, 0.05, lag, dead_time)
     return MPC(
         CAR,
@@ -277,7 +277,7 @@ def with_estimator(of):
 
 
 @pytest.mark.parametrize("mpc", [
-    ROAD_MPC, knowing(), knowing(0.2, 0.13, WITHOUT_VY), knowing(moves=Moves.laguerre(0.8, 4)),
+    ROAD_MPC, informed_mpc(), informed_mpc(0.2, 0.13, WITHOUT_VY), informed_mpc(moves=Moves.laguerre(0.8, 4)),
     with_estimator(UserEstimator(as_measured)),
     with_estimator(UserEstimator(smoothed, parameters={"share": 0.3}, memory_size=4)),
 ])  # fmt: skip

@@ -21,7 +21,7 @@ from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, informed, laws, published, tuning
 from adaptrack.core.synthesis.rows import row_of
-from by_kernels import CASES, UNTOUCHED, ordered, prepared
+from by_kernels import CASES, UNTOUCHED, make_order, make_parts
 from programs import find_program
 
 SEDAN = load_vehicle("midsize-sedan")
@@ -45,7 +45,7 @@ def test_numbers_are_rounded_as_they_are_printed():
 
 
 # -- a car from its mass and wheelbase --------------------------------------------------------------------------------
-def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **values):
+def complete_car(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **values):
     """Status, car and how well it is known."""
     row, within = row_of(car.Car, mass=mass, **values), row_of(car.KnownWithin)
     return car.complete_car(wheelbase, load, truck, row, within), row, within
@@ -54,7 +54,7 @@ def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **values):
 @pytest.mark.parametrize(("mass", "wheelbase", "truck"), [(700.0, 1.9, 0), (1500.0, 2.7, 0), (3000.0, 4.4, 1)])
 def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, truck):
     """Dynamic index, cornering coefficients, balance of loads: as published, to the digits that are printed."""
-    status, row, within = completed(mass, wheelbase, truck=truck)
+    status, row, within = complete_car(mass, wheelbase, truck=truck)
     assert status == car.COMPLETE
     assert row.lf + row.lr == pytest.approx(wheelbase, abs=1e-5)
     assert row.yaw_inertia / (mass * row.lf * row.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
@@ -66,7 +66,7 @@ def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, tru
 
 def test_what_is_given_of_a_car_stays_and_has_no_spread():
     values = {"lf": 1.1, "stiffness_rear": 7e4, "cg_height": 0.5}
-    _, row, within = completed(**values)
+    _, row, within = complete_car(**values)
     assert {name: row[name] for name in values} == values
     assert row.lr == 1.6
     assert all(math.isnan(within[name]) for name in values)
@@ -79,7 +79,7 @@ def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
         ({"wheelbase": 9.0}, car.WHEELBASE_OUTSIDE), ({"load": 2000.0}, car.TOO_MUCH_LOAD),
         ({"lf": 1.0, "lr": 1.0}, car.AXLES_DISAGREE), ({"lf": 3.0}, car.AXLES_DISAGREE),
     ]:  # fmt: skip
-        code, row, within = completed(**values)
+        code, row, within = complete_car(**values)
         assert code == status, values
         assert {name for name in car.Car._fields if not math.isnan(row[name])} <= {"mass", "lf", "lr"}
         assert within.said == 0
@@ -218,7 +218,7 @@ def test_the_sampled_error_model_is_the_matrix_exponential():
         np.testing.assert_allclose(np.column_stack([a, b]), expected[:4], rtol=1e-12, atol=1e-14)
 
 
-def solved(A, B, Q):
+def solve_riccati(A, B, Q):
     """P by the kernel, in memory that is longer than it needs."""
     n = len(B)
     P, work = np.full((n, n), np.nan), np.full(7 * n * n + 3, UNTOUCHED)
@@ -234,7 +234,7 @@ def test_a_riccati_equation_is_solved_as_by_scipy(n):
     for _ in range(10):
         A, B, root = rng.normal(size=(n, n)), rng.normal(size=n), rng.normal(size=(n, n))
         Q = root @ root.T
-        doublings, P = solved(A, B, Q)
+        doublings, P = solve_riccati(A, B, Q)
         assert 0 < doublings < 20
         scale = np.abs(P).max()
         gain = (B @ P @ A) / (1.0 + B @ P @ B)
@@ -249,8 +249,8 @@ def test_a_riccati_equation_is_solved_as_by_scipy(n):
 
 
 def test_a_system_that_cannot_be_steered_is_a_status():
-    assert solved(np.array([[2.0]]), np.array([0.0]), np.eye(1))[0] == 0
-    assert solved(np.array([[math.nan]]), np.array([1.0]), np.eye(1))[0] == 0
+    assert solve_riccati(np.array([[2.0]]), np.array([0.0]), np.eye(1))[0] == 0
+    assert solve_riccati(np.array([[math.nan]]), np.array([1.0]), np.eye(1))[0] == 0
 
 
 def test_the_gains_of_the_lqr_are_those_of_scipy():
@@ -267,9 +267,9 @@ def test_the_gains_of_the_lqr_are_those_of_scipy():
 
 
 # -- all of an MPC at once --------------------------------------------------------------------------------------------
-def made(vehicle, options):
+def constants_by_kernels(vehicle, options):
     """What the filter remembers, and all numbers of an MPC, by kernels alone."""
-    order, parts, constants = prepared(vehicle, options)
+    order, parts, constants = make_parts(vehicle, options)
     assert informed.informed_parts(order, parts) == informed.FINE
     assert informed.informed_constants(order, parts, constants) == informed.FINE
     for field in ("estimator", "model", "turning", "tuning"):
@@ -282,7 +282,7 @@ def made(vehicle, options):
 def test_the_numbers_of_an_mpc_are_all_there_without_python(case):
     """Every word of each array is written, and is that of the controller that Python makes."""
     vehicle = load_vehicle("van")
-    remembered, constants = made(vehicle, CASES[case])
+    remembered, constants = constants_by_kernels(vehicle, CASES[case])
     mpc = at.MPC(vehicle, **CASES[case])
     batch = mpc.batch(1, mpc.settings(), curved=True)
     expected = (mpc.tuning.as_array(), batch.parameters, batch.states, batch.feed.turning, batch.informed.estimator,
@@ -309,7 +309,7 @@ WRONG = [
 
 def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written():
     for section, name, value, status in WRONG:
-        order, parts = ordered(SEDAN, CASES["unsure"])
+        order, parts = make_order(SEDAN, CASES["unsure"])
         before = parts.tobytes()
         order[section][name] = value
         assert informed.informed_parts(order, parts) == status, (section, name)

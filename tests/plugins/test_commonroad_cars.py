@@ -42,7 +42,7 @@ def plant(request):
     return request.getfixturevalue({DRIFT: "drift", BODY: "body"}[request.param])
 
 
-def theirs(number=2):
+def their_parameters(number=2):
     from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
     return setup_vehicle_parameters(number)
@@ -80,7 +80,7 @@ def of_their_body_model(x, steering, acceleration, car):
 
 
 def test_without_air_the_derivative_is_that_of_their_own_function(plant):
-    car, rng = theirs(), np.random.default_rng(3)
+    car, rng = their_parameters(), np.random.default_rng(3)
     airless = commonroad_vehicle(2).replace(frontal_area=0.0)
     plant = commonroad_plant(plant.name.removeprefix("commonroad-"), 2, airless)
     reference = of_their_drift_model if "drift" in plant.name else of_their_body_model
@@ -137,7 +137,7 @@ def test_a_car_starts_rolling_in_equilibrium(plant, number, speed):
     assert x[rolling] * radius == pytest.approx(speed, rel=2e-3)
 
 
-def advanced(plant, x, u, seconds):
+def advance(plant, x, u, seconds):
     """Under inputs held, by the plant's own steps."""
     n = plant.substeps(seconds, 20.0)
     h = seconds / n
@@ -157,7 +157,7 @@ def test_under_a_prescribed_acceleration_wheels_roll_along_and_the_body_pitches(
     wheels = [i for i, name in enumerate(body.state_names) if name.startswith("wheel")]
     rates = []
     for acceleration in (-3.0, 3.0):
-        x = advanced(body, start, [0.0, 0.0, acceleration], 1.5)
+        x = advance(body, start, [0.0, 0.0, acceleration], 1.5)
         assert x[3] == pytest.approx(20.0 + 1.5 * acceleration)
         assert x[wheels] * commonroad_parameters(2)["R_w"] == pytest.approx(x[3], rel=0.04)
         rates.append(x[pitch] - start[pitch])
@@ -171,7 +171,7 @@ def test_under_a_prescribed_acceleration_wheels_roll_along_and_the_body_pitches(
 def test_the_data_sheet_has_the_yaw_gain_of_the_drift_model(number):
     plant, car = commonroad_plant(DRIFT, number), commonroad_vehicle(number)
     straight = plant.initial_state([0.0, 0.0, 0.0, 15.0, 0.0, 0.0])
-    left, right = (advanced(plant, straight, [angle, 0.0, 0.0], 3.0)[5] for angle in (0.005, -0.005))
+    left, right = (advance(plant, straight, [angle, 0.0, 0.0], 3.0)[5] for angle in (0.005, -0.005))
     assert (left - right) / 0.01 == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.02)
 
 
@@ -197,8 +197,8 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
     import tomli_w
 
     by_number = commonroad_parameters(2)
-    assert by_number["tire"]["p_ky1"] == theirs().tire.p_ky1
-    assert commonroad_parameters(theirs()) == commonroad_parameters(by_number) == by_number
+    assert by_number["tire"]["p_ky1"] == their_parameters().tire.p_ky1
+    assert commonroad_parameters(their_parameters()) == commonroad_parameters(by_number) == by_number
     file = tmp_path / "my-car.toml"
     file.write_text(tomli_w.dumps(by_number | {"m": 1200.0}))
     assert commonroad_parameters(file) == by_number | {"m": 1200.0}

@@ -32,7 +32,7 @@ SMALL = {"samples": 64, "horizon": 0.5}
 step_of, moved = entry(kernel.step_of), entry(kernel.moved)
 
 
-def driven(controller: MPPI, state: kernel.State, commands: list[float], speed: float) -> list[kernel.State]:
+def states_under(controller: MPPI, state: kernel.State, commands: list[float], speed: float) -> list[kernel.State]:
     """The model's states after each period under its commands (rad)."""
     p, states = kernel.Parameters(*controller.parameters()), [state]
     step = step_of(controller.period, speed, p)
@@ -58,7 +58,7 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
     start, errors = kernel.State(0.0, 0.2, 0.05, 0.1, 0.05, command), []
     for period in (0.1, 0.05, 0.025):
         controller = MPPI(calm, tyre=tyre, profile="paper", period=period, **SMALL)
-        last = driven(controller, start, [command] * round(0.5 / period), speed)[-1]
+        last = states_under(controller, start, [command] * round(0.5 / period), speed)[-1]
         errors.append(np.abs(np.array(last[:5]) - x[[0, 1, 2, 4, 5]]).max())
     assert errors[1] < 1e-3
     if tyre == "constant-stiffness":
@@ -69,15 +69,15 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
 def test_the_wheels_follow_as_a_first_order_lag_within_its_rate():
     slow = MPPI(CAR, profile="paper", belief=Steering(lag=0.2, dead_time=0.0, rate=0.5), period=0.05, **SMALL)
     straight = kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    near = [s.wheels for s in driven(slow, straight, [0.05] * 10, 10.0)]
+    near = [s.wheels for s in states_under(slow, straight, [0.05] * 10, 10.0)]
     np.testing.assert_allclose(near, 0.05 * (1.0 - np.exp(-0.05 * np.arange(1, 11) / 0.2)), rtol=1e-12)
-    wheels = [s.wheels for s in driven(slow, straight, [0.5] * 4, 10.0)]
+    wheels = [s.wheels for s in states_under(slow, straight, [0.5] * 4, 10.0)]
     np.testing.assert_allclose(wheels, 0.5 * 0.05 * np.arange(1, 5), rtol=1e-12)
 
 
 def test_at_walking_pace_the_model_stays_stable():
     controller = MPPI(CAR, profile="paper", period=0.1, **SMALL)
-    last = driven(controller, kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), [0.1] * 200, 1.0)[-1]
+    last = states_under(controller, kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), [0.1] * 200, 1.0)[-1]
     assert last.r == pytest.approx(0.1 / CAR.wheelbase, rel=0.05)  # that of a bicycle without slip
 
 
@@ -93,7 +93,7 @@ def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
 
     def cost(moves):
         before, total = kernel.State(0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 0.0
-        for new, move in zip(driven(controller, before, np.cumsum(moves).tolist(), speed), moves, strict=True):
+        for new, move in zip(states_under(controller, before, np.cumsum(moves).tolist(), speed), moves, strict=True):
             course = (new.y - before.y) / (speed * 0.1)
             total += 0.1 * (new.y**2 + 1.0 * course**2 + 0.01 * (move / 0.1) ** 2)
             before = new
@@ -115,7 +115,7 @@ def test_commands_on_their_way_are_driven_through_by_the_model():
     late = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.2), preview=True, **SMALL)
     prompt = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.0), preview=True, **SMALL)
     speed, (vy, yaw, rate, y) = 15.0, (0.05, 0.02, 0.03, 0.4)
-    after = driven(prompt, kernel.State(0.0, y, yaw, vy, rate, 0.0), [0.0, 0.0], speed)[-1]
+    after = states_under(prompt, kernel.State(0.0, y, yaw, vy, rate, 0.0), [0.0, 0.0], speed)[-1]
     angle = late.step([vy, yaw, rate, y], speed, np.zeros(40)).angle
     then = prompt.step([after.vy, after.yaw, after.r, after.y], speed, np.zeros(40)).angle
     assert angle == pytest.approx(then, rel=1e-9)
