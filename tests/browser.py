@@ -37,43 +37,43 @@ def ask(
     pages: by path; folder: where files at other paths lie; scheme: "light" or "dark"; timeout: s.
     """
     answers: queue.Queue[Any] = queue.Queue()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as own:
-        handler = functools.partial(_Handler, pages, answers, directory=str(folder or own))
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        handler = functools.partial(_Handler, pages, answers, directory=str(folder or profile))
         server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        with open(f"{own}/log", "w+b") as log:
+        with open(f"{profile}/log", "w+b") as log:
             command = _command(
-                own, scheme, "--window-size=1500,1000", "--enable-logging=stderr", "--remote-debugging-port=0",
+                profile, scheme, "--window-size=1500,1000", "--enable-logging=stderr", "--remote-debugging-port=0",
                 f"http://127.0.0.1:{server.server_port}/",
             )  # fmt: skip
             browser = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
             try:
-                found = answers.get(timeout=timeout)
+                answer = answers.get(timeout=timeout)
             finally:
                 os.killpg(browser.pid, signal.SIGKILL)
                 browser.wait()
                 server.shutdown()
                 server.server_close()
             log.seek(0)
-            said = [line for line in log.read().decode(errors="replace").splitlines() if "CONSOLE" in line]
-    return found, said
+            messages = [line for line in log.read().decode(errors="replace").splitlines() if "CONSOLE" in line]
+    return answer, messages
 
 
 def shoot(url: str, png: Path, size: tuple[int, int], *, scheme: str = "light", timeout: float = 60.0) -> None:
     """Write a picture of an address; size: (width, height) of the window, px."""
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as own:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = _command(
-            own, scheme, f"--window-size={size[0]},{size[1]}", "--virtual-time-budget=4000",
+            profile, scheme, f"--window-size={size[0]},{size[1]}", "--virtual-time-budget=4000",
             "--run-all-compositor-stages-before-draw", f"--screenshot={png}", url,
         )  # fmt: skip
         subprocess.run(command, capture_output=True, timeout=timeout, check=True)
 
 
-def _command(own: str, scheme: str, *options: str) -> list[str]:
+def _command(profile: str, scheme: str, *options: str) -> list[str]:
     """own: a folder for what the browser keeps."""
     return [
         find_program("chromium"), "--headless", "--disable-gpu", "--hide-scrollbars", "--mute-audio", "--no-first-run",
-        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", f"--user-data-dir={own}/profile",
+        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", f"--user-data-dir={profile}/profile",
         f"--blink-settings=preferredColorScheme={_SCHEMES[scheme]}",
         *SANDBOX, *options,
     ]  # fmt: skip
@@ -82,9 +82,9 @@ def _command(own: str, scheme: str, *options: str) -> list[str]:
 class _Handler(http.server.SimpleHTTPRequestHandler):
     """Gives pages, and files of a folder; takes what was found."""
 
-    def __init__(self, pages: Mapping[str, Served], answers: queue.Queue[Any], *arguments: Any, **more: Any) -> None:
+    def __init__(self, pages: Mapping[str, Served], answers: queue.Queue[Any], *arguments: Any, **options: Any) -> None:
         self._pages, self._answers = pages, answers
-        super().__init__(*arguments, **more)
+        super().__init__(*arguments, **options)
 
     def do_GET(self) -> None:
         """A page, or a file."""

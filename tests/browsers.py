@@ -83,7 +83,7 @@ class Chromium:
         os.close(there_in)
         os.close(there_out)
         pages = self._call("Target.getTargets", session="")["targetInfos"]
-        page = next(each["targetId"] for each in pages if each["type"] == "page")
+        page = next(target["targetId"] for target in pages if target["type"] == "page")
         self._session = self._call("Target.attachToTarget", session="", targetId=page, flatten=True)["sessionId"]
         self._scale, self._touch = scale, touch
         for name in ("Page", "Runtime", "Log", "Network"):
@@ -130,12 +130,12 @@ class Chromium:
         while b"\0" not in self._rest:
             if not select.select([self._in], [], [], max(0.0, until - time.monotonic()))[0]:
                 raise TimeoutError(f"Chromium is silent: {Path(f'{self._own.name}/log').read_text()[-2000:]}")
-            more = os.read(self._in, 1 << 20)
-            if not more:
+            chunk = os.read(self._in, 1 << 20)
+            if not chunk:
                 raise Failed(f"Chromium has ended: {Path(f'{self._own.name}/log').read_text()[-2000:]}")
-            self._rest += more
-        one, self._rest = self._rest.split(b"\0", 1)
-        return json.loads(one)
+            self._rest += chunk
+        message, self._rest = self._rest.split(b"\0", 1)
+        return json.loads(message)
 
     def _took(self, event: dict[str, Any]) -> None:
         if event.get("method") == "Target.attachedToTarget":  # a worker
@@ -154,13 +154,13 @@ class Chromium:
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page, waited for."""
-        found = self._call(
+        answer = self._call(
             "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True, userGesture=True
         )
-        if "exceptionDetails" in found:
-            told = found["exceptionDetails"]
-            raise Failed(told.get("exception", {}).get("description") or told["text"])
-        return found["result"].get("value")
+        if "exceptionDetails" in answer:
+            details = answer["exceptionDetails"]
+            raise Failed(details.get("exception", {}).get("description") or details["text"])
+        return answer["result"].get("value")
 
     def wait(self, condition: str, seconds: float | None = None) -> Any:
         """The value of an expression as soon as it is true."""
@@ -169,10 +169,10 @@ class Chromium:
     def press(self, key: str, *, shift: bool = False, control: bool = False, times: int = 1) -> None:
         """A key, down and up."""
         code, number, text = _KEYS.get(key, (f"Key{key.upper()}", ord(key.upper()[0]), key))
-        known = {"key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": 8 * shift + 2 * control}
+        event = {"key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": 8 * shift + 2 * control}
         for _ in range(times):
-            self._call("Input.dispatchKeyEvent", type="keyDown", **known, **({"text": text} if text else {}))
-            self._call("Input.dispatchKeyEvent", type="keyUp", **known)
+            self._call("Input.dispatchKeyEvent", type="keyDown", **event, **({"text": text} if text else {}))
+            self._call("Input.dispatchKeyEvent", type="keyUp", **event)
 
     def write(self, text: str) -> None:
         """Text at the cursor."""
@@ -210,25 +210,27 @@ class Chromium:
     def said(self) -> list[str]:
         """What the page and its workers wrote to the console, and what they raised."""
         self.run("0")
-        found = []
+        messages = []
         for event in self._events:
-            given = event.get("params", {})
+            params = event.get("params", {})
             if event["method"] == "Runtime.consoleAPICalled":
-                found.append(" ".join(str(each.get("value", each.get("description"))) for each in given["args"]))
+                messages.append(
+                    " ".join(str(argument.get("value", argument.get("description"))) for argument in params["args"])
+                )
             elif event["method"] == "Runtime.exceptionThrown":
-                told = given["exceptionDetails"]
-                found.append(told.get("exception", {}).get("description") or told["text"])
+                details = params["exceptionDetails"]
+                messages.append(details.get("exception", {}).get("description") or details["text"])
             elif event["method"] == "Log.entryAdded":
-                found.append(f"{given['entry']['text']} {given['entry'].get('url', '')}")
-        return found
+                messages.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
+        return messages
 
     def requests(self) -> list[str]:
         """The addresses that were loaded, but for the page itself and what lies in it."""
         self.run("0")
-        asked = [each["params"] for each in self._events if each["method"] == "Network.requestWillBeSent"]
+        sent_requests = [event["params"] for event in self._events if event["method"] == "Network.requestWillBeSent"]
         return [
-            each["request"]["url"] for each in asked
-            if each["type"] != "Document" and not each["request"]["url"].startswith(("data:", "blob:"))
+            request["request"]["url"] for request in sent_requests
+            if request["type"] != "Document" and not request["request"]["url"].startswith(("data:", "blob:"))
         ]  # fmt: skip
 
 
@@ -288,8 +290,8 @@ class Firefox:
         size, self._rest = self._rest.split(b":", 1)
         while len(self._rest) < int(size):
             self._rest += self._socket.recv(1 << 20)
-        one, self._rest = self._rest[: int(size)], self._rest[int(size) :]
-        return json.loads(one)
+        message, self._rest = self._rest[: int(size)], self._rest[int(size) :]
+        return json.loads(message)
 
     def _call(self, command: str, parameters: dict[str, Any] | None = None) -> Any:
         self._number += 1
@@ -319,17 +321,17 @@ class Firefox:
         return _wait(self, condition, seconds)
 
     def press(self, key: str, *, shift: bool = False, times: int = 1) -> None:
-        known = {"Tab": "\ue004", "Enter": "\ue007", "Escape": "\ue00c", "ArrowLeft": "\ue012", "ArrowUp": "\ue013",
+        codes = {"Tab": "\ue004", "Enter": "\ue007", "Escape": "\ue00c", "ArrowLeft": "\ue012", "ArrowUp": "\ue013",
                  "ArrowRight": "\ue014", "ArrowDown": "\ue015", "Home": "\ue011", "End": "\ue010"}  # fmt: skip
-        value = known.get(key, key)
+        value = codes.get(key, key)
         steps = [{"type": "keyDown", "value": value}, {"type": "keyUp", "value": value}] * times
         if shift:
             steps = [{"type": "keyDown", "value": "\ue008"}, *steps, {"type": "keyUp", "value": "\ue008"}]
         self._call("WebDriver:PerformActions", {"actions": [{"type": "key", "id": "keys", "actions": steps}]})
 
     def write(self, text: str) -> None:
-        for each in text:
-            self.press(each)
+        for character in text:
+            self.press(character)
 
     def click(self, x: float, y: float) -> None:
         steps = [{"type": "pointerMove", "x": int(x), "y": int(y)}, {"type": "pointerDown", "button": 0},
@@ -345,7 +347,7 @@ class Firefox:
     # -- what came of it
     def said(self) -> list[str]:
         self._call("Marionette:SetContext", {"value": "chrome"})
-        told = self._script(
+        messages = self._script(
             "return Services.console.getMessageArray().filter(m => m instanceof Ci.nsIScriptError"
             " && (m.sourceName || '').match(/^(file|http|blob|data)/)).map(m => m.errorMessage);"
         )
@@ -353,7 +355,7 @@ class Firefox:
         self._log.flush()
         log = (Path(self._own.name) / "log").read_text(errors="replace").splitlines()
         # the second is the browser's own
-        return [*told, *(line for line in log if line.startswith("console.") and "RSLoader" not in line)]
+        return [*messages, *(line for line in log if line.startswith("console.") and "RSLoader" not in line)]
 
     def requests(self) -> list[str]:
         return self._script(
@@ -364,9 +366,9 @@ class Firefox:
 def _wait(page: Any, condition: str, seconds: float | None) -> Any:
     until = time.monotonic() + (page.timeout if seconds is None else seconds)
     while True:
-        found = page.run(condition)
-        if found:
-            return found
+        value = page.run(condition)
+        if value:
+            return value
         if time.monotonic() > until:
             raise TimeoutError(f"never true: {condition}")
         time.sleep(0.02)

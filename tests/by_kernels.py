@@ -23,7 +23,7 @@ CASES = {
 }
 
 
-def ordered(vehicle, options):
+def make_order(vehicle, options):
     """The order of an MPC, and its parts with the usual filter."""
     name, mode = options.get("profile"), options.get("learning", "auto")
     world = load_profile(name or "road")
@@ -36,22 +36,22 @@ def ordered(vehicle, options):
     )  # fmt: skip
     order.learning = informed.NEVER if mode is None else informed.UNLESS_SAID
     row = informed.InformedParts.new(1)
-    usual = np.zeros(size_of(filter.Filter))
-    filter.usual_filter(usual)
-    row["filter"] = usual.view(filter.Filter.dtype)[0]
+    default_filter = np.zeros(size_of(filter.Filter))
+    filter.usual_filter(default_filter)
+    row["filter"] = default_filter.view(filter.Filter.dtype)[0]
     return order, row[0]
 
 
-def prepared(vehicle, options):
+def make_parts(vehicle, options):
     """Order, parts and room for the constants of an MPC, whose numbers are not yet written."""
-    order, parts = ordered(vehicle, options)
+    order, parts = make_order(vehicle, options)
     again = np.array([parts])[0]
     assert informed.informed_parts(order, again) == informed.OK
     n, _, learned = informed.informed_sizes(order, again)
     numbers = size_of(learning.LearnerParameters) if learned else 0
-    found = informed.Constants(
+    constants = informed.Constants(
         settings=MPCSettings.new(1), tuning=np.full(4, UNTOUCHED), model=np.full(7, UNTOUCHED),
         states=np.full(n, -7), turning=np.full(7, UNTOUCHED), learner=np.full(numbers, UNTOUCHED),
         estimator=np.full(size_of(kalman.FilterParameters), UNTOUCHED), fresh=np.full(learned, UNTOUCHED),
     )  # fmt: skip
-    return order, parts, found
+    return order, parts, constants

@@ -29,10 +29,12 @@ class Reader(ctypes.Structure):
 
 @cache
 def _library(folder):
-    made = Path(folder) / "block.so"
+    shared_object = Path(folder) / "block.so"
     source = SOURCES / "adaptrack_block.c"
-    subprocess.run([find_program("gcc"), *STRICT, "-O1", "-shared", "-fPIC", str(source), "-o", str(made)], check=True)
-    library = ctypes.CDLL(str(made))
+    subprocess.run(
+        [find_program("gcc"), *STRICT, "-O1", "-shared", "-fPIC", str(source), "-o", str(shared_object)], check=True
+    )
+    library = ctypes.CDLL(str(shared_object))
     library.adaptrack_block_state_size.restype = library.adaptrack_block_memory.restype = ctypes.c_size_t
     library.adaptrack_block_record.restype = ctypes.c_void_p
     return library

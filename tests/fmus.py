@@ -27,7 +27,7 @@ class Instance:
             guid=self.description.guid, unzipDirectory=str(unpacked),
             modelIdentifier=self.description.coSimulation.modelIdentifier, instanceName=name,
         )  # fmt: skip
-        self.variables = {each.name: each for each in self.description.modelVariables}
+        self.variables = {variable.name: variable for variable in self.description.modelVariables}
         self.fmu.instantiate()
         self.begin(**parameters)
 
@@ -47,10 +47,10 @@ class Instance:
             getattr(self.fmu, f"set{variable.type}")([variable.valueReference], [value])
 
     def get(self, *names):
-        found = [
+        values = [
             getattr(self.fmu, f"get{self.variables[n].type}")([self.variables[n].valueReference])[0] for n in names
         ]
-        return found if len(names) > 1 else found[0]
+        return values if len(names) > 1 else values[0]
 
     def step(self, periods=1, **values):
         self.set(**values)
@@ -88,20 +88,20 @@ class Signals:
 
     def at(self, k, station):
         signals, n = self.signals, self.signals.n
-        place, given = k, {}
+        place, inputs = k, {}
         if self.curved:
             place = max(int(np.searchsorted(signals.station, station, side="right")) - 1, 0)
-            given = {"on_plan": True, "plan_station": signals.station[k]}
+            inputs = {"on_plan": True, "plan_station": signals.station[k]}
         ahead = signals.speed[k + 1]
         if self.driver is not None:
             periods = self.driver.preview / self.world.period
             j = min(k + math.floor(periods), n)
-            near, far = signals.speed[j], signals.speed[min(j + 1, n)]
-            ahead = near + (periods - math.floor(periods)) * (far - near)
+            near, beyond = signals.speed[j], signals.speed[min(j + 1, n)]
+            ahead = near + (periods - math.floor(periods)) * (beyond - near)
         wheels = ("front_left", "front_right", "rear_left", "rear_right")
-        given |= {f"friction_{wheel}": value for wheel, value in zip(wheels, signals.friction[place], strict=True)}
+        inputs |= {f"friction_{wheel}": value for wheel, value in zip(wheels, signals.friction[place], strict=True)}
         wind_x, wind_y = signals.wind[place]
-        return given | {
+        return inputs | {
             "speed": signals.speed[k], "speed_ahead": ahead, "wind_x": wind_x, "wind_y": wind_y,
             "bank": signals.push[place],
         }  # fmt: skip

@@ -27,23 +27,18 @@ def _wave(count, step, height):
     return np.round(np.stack([s, height * np.sin(s / 45.0)], axis=-1), 3).tolist()
 
 
-def _circuit(count, a, b):
-    angle = np.arange(count) * (2.0 * np.pi / count)
-    return np.round(np.stack([a * np.cos(angle), b * np.sin(angle)], axis=-1), 3).tolist()
-
-
 WAVE = {"points": _wave(60, 12.0, 9.0), "closed": False, "name": "drawn"}
-CIRCUIT = {"points": _circuit(40, 160.0, 90.0), "closed": True, "name": "loop"}
 PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SHEET}
 
 
 def _setup(car, road, speed, profile, *controllers, seed=1, **truth):
-    made = [
-        {"tuning": None, "belief": None, **({"kind": each} if isinstance(each, str) else each)} for each in controllers
+    setups = [
+        {"tuning": None, "belief": None, **({"kind": controller} if isinstance(controller, str) else controller)}
+        for controller in controllers
     ]
     nothing = dict.fromkeys(("lag", "dead_time", "bias", "noise", "friction", "wind"))
     return {"car": car, "road": road, "speed": speed, "profile": profile, "truth": nothing | truth, "seed": seed,
-            "controllers": made}  # fmt: skip
+            "controllers": setups}  # fmt: skip
 
 
 def _tuned(kind, Np, Nc, Q, R, **belief):
@@ -80,20 +75,20 @@ SETUPS = {
 
 
 @functools.cache
-def driven(name):
+def drive_columns(name):
     """Of each car of a drive the columns that are compared, by name."""
-    return [columns_of(each) for each in simulate_setup(SETUPS[name])]
+    return [columns_of(run) for run in simulate_setup(SETUPS[name])]
 
 
 def columns_of(trajectory):
     """The columns of a trajectory as frames name them, until it ends."""
-    found = {name: getattr(trajectory, theirs) for name, theirs in COLUMNS.items()}
-    found |= {"held": trajectory.held.astype(float), "error": trajectory.Y - trajectory.y_ref}
-    found |= {key: trajectory.road[key] for key in ("station", "offset", "heading_error") if trajectory.road}
+    columns = {name: getattr(trajectory, theirs) for name, theirs in COLUMNS.items()}
+    columns |= {"held": trajectory.held.astype(float), "error": trajectory.Y - trajectory.y_ref}
+    columns |= {key: trajectory.road[key] for key in ("station", "offset", "heading_error") if trajectory.road}
     if trajectory.road:
-        found["error"] = trajectory.road["offset"] - trajectory.y_ref
+        columns["error"] = trajectory.road["offset"] - trajectory.y_ref
     for group in (trajectory.tuning, trajectory.diagnostics):
         for key, values in group.items():
-            found[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
+            columns[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
     count = int(np.isfinite(trajectory.command).sum())
-    return {name: np.ascontiguousarray(values[:count], float) for name, values in found.items()}
+    return {name: np.ascontiguousarray(values[:count], float) for name, values in columns.items()}

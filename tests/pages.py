@@ -70,7 +70,7 @@ ENGINE = """
 """A drive of the page's engine in a worker of its own: what it began with, and the frames of each car."""
 
 
-def exported(folder: Path) -> Path:
+def export_page(folder: Path) -> Path:
     """The page in a folder; a test is skipped where its kernels have not been built."""
     try:
         return at.export_page(folder / "drive.html")
@@ -82,15 +82,24 @@ def drive(
     page: Any, setup: dict[str, Any], periods: int, changes: list[dict[str, Any]] | None = None
 ) -> dict[str, Any]:
     """What the engine of an open page drives; `numbers` of each car are (frames, columns)."""
-    found = page.run(f"{ENGINE}({json.dumps(setup)}, {periods}, {json.dumps(changes or [])})")
-    for car in found.get("cars", ()):
+    answer = page.run(f"{ENGINE}({json.dumps(setup)}, {periods}, {json.dumps(changes or [])})")
+    for car in answer.get("cars", ()):
         numbers = np.frombuffer(base64.b64decode(car["numbers"]), "<f8")
         car["numbers"] = numbers.reshape(-1, len(car["columns"]))
-    return found
+    return answer
+
+
+def open_page(window: Any, file: Path, fragment: str = "") -> Any:
+    """The page in a browser, opened anew and paused."""
+    window.open("about:blank")
+    window.open(file.as_uri() + fragment)
+    window.wait(READY)
+    window.run("adaptrackPage.pause()")
+    return window
 
 
 @contextlib.contextmanager
-def served(folder: Path) -> Iterator[tuple[str, list[str]]]:
+def serve(folder: Path) -> Iterator[tuple[str, list[str]]]:
     """The address of a server of a folder, and the paths that it was asked for."""
     paths: list[str] = []
 
@@ -109,10 +118,10 @@ def served(folder: Path) -> Iterator[tuple[str, list[str]]]:
 
 def axe() -> Path | None:
     """The checker of accessibility (axe-core, MPL-2.0), where there is one; it is not part of this project."""
-    named = os.environ.get("ADAPTRACK_AXE")
-    places = [Path(named)] if named else []
-    places += [each / "node_modules/axe-core/axe.min.js" for each in Path(__file__).resolve().parents]
-    return next((each for each in places if each.is_file()), None)
+    script = os.environ.get("ADAPTRACK_AXE")
+    places = [Path(script)] if script else []
+    places += [parent / "node_modules/axe-core/axe.min.js" for parent in Path(__file__).resolve().parents]
+    return next((place for place in places if place.is_file()), None)
 
 
 NO_AXE = "no axe-core: npm install axe-core somewhere, and ADAPTRACK_AXE=.../axe.min.js"
@@ -129,13 +138,12 @@ NAME = """((each) => each === document.body ? "body" : `${each.id || each.datase
 """A control in words."""
 
 
-def differing(car: dict[str, Any], expected: dict[str, np.ndarray]) -> int:
-    """How many steps of a drive of the page differ in any bit from one of Python's: `page_drives.driven`."""
-    found = dict(zip(car["columns"], car["numbers"].T, strict=True))
-    wrong = np.zeros(len(expected["x"]), bool)
+def differing(columns: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> dict[str, int]:
+    """By column, how many numbers of a drive of the page differ in any bit from those of Python."""
+    count, differences = len(expected["x"]), {}
     for name, values in expected.items():
-        here = np.ascontiguousarray(found[name])
-        assert here.size == values.size, name
-        both = np.isnan(here) & np.isnan(values)
-        wrong |= (here.view(np.int64) != values.view(np.int64)) & ~both
-    return int(wrong.sum())
+        column = np.ascontiguousarray(columns[name][:count])
+        assert column.size == count, name
+        both = np.isnan(column) & np.isnan(values)
+        differences[name] = int(((column.view(np.int64) != values.view(np.int64)) & ~both).sum())
+    return {name: number for name, number in differences.items() if number}

@@ -27,9 +27,9 @@ LIMITS = (
 
 
 def run(*command):
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @cache
@@ -54,16 +54,26 @@ def includes(folder):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text('#include "ros.hpp"\n')
     places = folder / "include", CPP / "include", folder / "stand_ins", STAND_INS
-    return [f"-I{each}" for each in places]
+    return [f"-I{place}" for place in places]
 
 
 @cache
 def shim(folder, *options):
     """The logic as a library."""
-    parts, made = controller(folder), folder / "follower.so"
+    parts, shared_object = controller(folder), folder / "follower.so"
     sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp"
-    run("g++", *(options or STRICT), "-shared", "-fPIC", *includes(folder), *map(str, sources), *parts, "-o", str(made))
-    library = ctypes.CDLL(str(made))
+    run(
+        "g++",
+        *(options or STRICT),
+        "-shared",
+        "-fPIC",
+        *includes(folder),
+        *map(str, sources),
+        *parts,
+        "-o",
+        str(shared_object),
+    )
+    library = ctypes.CDLL(str(shared_object))
     library.ros_make.restype = ctypes.c_void_p
     return library
 
@@ -71,13 +81,13 @@ def shim(folder, *options):
 @cache
 def node(folder):
     """The node as a program, on stand-ins."""
-    parts, made = controller(folder), folder / "node"
+    parts, library = controller(folder), folder / "node"
     options = [*STRICT[:1], "-O0", *STRICT[2:], "-DADAPTRACK_WITH_TRAJECTORY", "-Dmain=node_main", *includes(folder)]
     run("g++", *options, "-c", str(CPP / "src" / "follower_node.cpp"), "-o", str(folder / "node.o"))
     options.remove("-Dmain=node_main")
     sources = CPP / "src" / "follower.cpp", STAND_INS / "drive.cpp", folder / "node.o"
-    run("g++", *options, *map(str, sources), *parts, "-o", str(made))
-    return made
+    run("g++", *options, *map(str, sources), *parts, "-o", str(library))
+    return library
 
 
 def numbers(values):
@@ -118,10 +128,10 @@ class CppFollower:
 
     def path(self, message):
         if hasattr(message, "points"):
-            rows = [(each.longitudinal_velocity_mps, each.pose) for each in message.points]
+            rows = [(point.longitudinal_velocity_mps, point.pose) for point in message.points]
             give = self._library.ros_trajectory
         else:
-            rows = [(seconds(each.header.stamp), each.pose) for each in message.poses]
+            rows = [(seconds(pose.header.stamp), pose.pose) for pose in message.poses]
             give = self._library.ros_path
         flat = [value for first, pose in rows for value in (first, pose.position.x, pose.position.y)]
         give(self._made, numbers(flat), ctypes.c_size_t(len(rows)), message.header.frame_id.encode())
@@ -129,17 +139,17 @@ class CppFollower:
     def engage(self, on, wheel_angle=0.0):
         self._library.ros_engage(self._made, int(on), ctypes.c_double(wheel_angle))
 
-    def tick(self, now):
+    def tick(self, clock):
         command, why = numbers([0.0] * 3), ctypes.create_string_buffer(200)
-        if not self._library.ros_tick(self._made, ctypes.c_double(now), command, why, ctypes.c_size_t(len(why))):
+        if not self._library.ros_tick(self._made, ctypes.c_double(clock), command, why, ctypes.c_size_t(len(why))):
             return None
         return follower.Command(*command, why.value.decode())
 
-    def diagnosis(self, now):
+    def diagnosis(self, clock):
         text = ctypes.create_string_buffer(2000)
-        level = self._library.ros_diagnosis(self._made, ctypes.c_double(now), text, ctypes.c_size_t(len(text)))
-        said, *values = text.value.decode().split("\n")
-        return level, said, dict(each.split("=", 1) for each in values)
+        level = self._library.ros_diagnosis(self._made, ctypes.c_double(clock), text, ctypes.c_size_t(len(text)))
+        summary, *values = text.value.decode().split("\n")
+        return level, summary, dict(pair.split("=", 1) for pair in values)
 
     def times(self, points, rounds):
         """(rounds,) s each: an odometry with its tick, and another path."""

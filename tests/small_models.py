@@ -26,8 +26,8 @@ def random_sugeno(rng, inputs, kind="mixed"):
     functions, rules = int(rng.integers(inputs, 4 * inputs + 1)), int(rng.integers(1, 30))
     owner = np.concatenate([np.arange(inputs), rng.integers(0, inputs, functions - inputs)])
     bell = {"gaussian": np.zeros(functions, bool), "bell": np.ones(functions, bool)}.get(kind)
-    rules_asked = np.array([[rng.choice(np.flatnonzero(owner == d)) for d in range(inputs)] for _ in range(rules)])
-    rules_asked[rng.uniform(size=rules_asked.shape) < 0.25] = ANY
+    inputs_of_rules = np.array([[rng.choice(np.flatnonzero(owner == d)) for d in range(inputs)] for _ in range(rules)])
+    inputs_of_rules[rng.uniform(size=inputs_of_rules.shape) < 0.25] = ANY
     weights = rng.uniform(size=rules) * (rng.uniform(size=rules) < 0.8)
     weights[0] = 1.0
     premises = np.column_stack(
@@ -35,7 +35,7 @@ def random_sugeno(rng, inputs, kind="mixed"):
     )
     consequents = rng.normal(size=(rules, inputs + 1)) * 10.0
     bell = rng.uniform(size=functions) < 0.5 if bell is None else bell
-    return Sugeno(owner, bell, premises, rules_asked, consequents, weights)
+    return Sugeno(owner, bell, premises, inputs_of_rules, consequents, weights)
 
 
 def random_table(rng, inputs, method):

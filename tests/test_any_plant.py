@@ -78,8 +78,8 @@ def registered(monkeypatch, tmp_path):
         "import math\nimport numpy as np\nimport adaptrack as at\nfrom adaptrack.cars.plant import register_plant\n\n"
     )
     last = "".join(
-        f'\nregister_plant("{each.__name__.lower()}", lambda vehicle, tyre: {each.__name__}(vehicle))\n'
-        for each in (Sliding, Cheap)
+        f'\nregister_plant("{plant.__name__.lower()}", lambda vehicle, tyre: {plant.__name__}(vehicle))\n'
+        for plant in (Sliding, Cheap)
     )
     (tmp_path / "sliding.py").write_text(head + inspect.getsource(Sliding) + "\n\n" + inspect.getsource(Cheap) + last)
     monkeypatch.syspath_prepend(tmp_path)
@@ -150,8 +150,8 @@ def test_a_twin_has_the_steady_yaw_gain_that_the_controller_is_told(name):
 
 
 def test_a_plant_with_a_linear_model_stands_for_itself_and_a_stepped_one_has_a_twin():
-    own = DualTrack(CAR)
-    assert linear_twin(own, CAR, CAR.domain) is own
+    plant = DualTrack(CAR)
+    assert linear_twin(plant, CAR, CAR.domain) is plant
     assert linear_twin(Sliding(CAR), CAR, CAR.domain) == twin_of(CAR)
 
 
@@ -160,13 +160,13 @@ def test_a_plant_with_a_linear_model_stands_for_itself_and_a_stepped_one_has_a_t
 @pytest.mark.parametrize("kind", [Sliding, Cheap])
 def test_a_stepped_plant_is_tuned_and_told_how_long_it_takes(kind, caplog):
     with caplog.at_level(logging.WARNING, "adaptrack"):
-        found = tune(CAR, plant=kind(CAR), effort=SMALL)
+        result = tune(CAR, plant=kind(CAR), effort=SMALL)
     assert "is stepped in Python" in caplog.text
     assert "min." in caplog.text
-    assert found.failed == 0
-    assert found.passed
-    assert found.certificate.plant != found.plant
-    assert found.costly == kind.costly
+    assert result.failed == 0
+    assert result.passed
+    assert result.certificate.plant != result.plant
+    assert result.costly == kind.costly
 
 
 @pytest.mark.compiled
@@ -202,7 +202,9 @@ def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
 @pytest.fixture
 def tune_paper(monkeypatch, registered, tmp_path):
     """`adaptrack tune paper` with a short search."""
-    monkeypatch.setattr("adaptrack.tuning.car.tune", lambda *given, **more: tune(*given, effort=SMALL, **more))
+    monkeypatch.setattr(
+        "adaptrack.tuning.car.tune", lambda *arguments, **options: tune(*arguments, effort=SMALL, **options)
+    )
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["adaptrack", "tune", "paper", "--out", str(tmp_path / "out"), *arguments])
@@ -238,9 +240,9 @@ def test_runs_of_a_plant_of_ones_own_are_shared_among_threads_and_cost_the_same_
     plant = at.UserPlant(slides, {"none": 0.0}, mass=1500.0, steps=4)
     mpc = at.MPC(CAR, profile="road")
     runs = operating_point_runs(plant, mpc, [[10.0, 1.0, 0.9, w] for w in (0.0, 2.0, 4.0, 6.0, 8.0)], "road")
-    batch, which = runs._mpc_batch, np.arange(5)
-    assert [len(chunk) for chunk in batch.chunks(which, 2)] == [3, 2]
-    assert [len(chunk) for chunk in batch.chunks(which)] == [5]
+    batch, indices = runs._mpc_batch, np.arange(5)
+    assert [len(chunk) for chunk in batch.chunks(indices, 2)] == [3, 2]
+    assert [len(chunk) for chunk in batch.chunks(indices)] == [5]
     seeds, tunings = np.zeros(5, np.int64), np.tile(mpc.tuning.as_array(), (5, 1))
-    one, two = (batch.run(which, tunings, seeds, threads).result["squared_error"] for threads in (1, 2))
-    np.testing.assert_array_equal(one, two)
+    serial, threaded = (batch.run(indices, tunings, seeds, threads).result["squared_error"] for threads in (1, 2))
+    np.testing.assert_array_equal(serial, threaded)

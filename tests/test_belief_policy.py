@@ -40,31 +40,27 @@ LEARNING = Learning()
 compiled = pytest.mark.compiled
 
 
-def ranges(mpc):
-    return mpc.learner.ranges
-
-
 # -- who says the steering --------------------------------------------------------------------------------------------
 def test_who_learns_is_told_nothing_of_the_steering_by_the_profile():
     profile = "production"
-    named, unknown = (MPC(CAR, profile=profile, learning=LEARNING, belief=belief) for belief in (None, "unknown"))
-    np.testing.assert_array_equal(named.learner.parameters(), unknown.learner.parameters())
-    assert named.limits == unknown.limits
-    assert {named.belief.lag.source, named.belief.dead_time.source} == {TO_LEARN_SOURCE}
-    assert named.belief.computation.source == f"profile {profile}"
+    default, unknown = (MPC(CAR, profile=profile, learning=LEARNING, belief=belief) for belief in (None, "unknown"))
+    np.testing.assert_array_equal(default.learner.parameters(), unknown.learner.parameters())
+    assert default.limits == unknown.limits
+    assert {default.belief.lag.source, default.belief.dead_time.source} == {TO_LEARN_SOURCE}
+    assert default.belief.computation.source == f"profile {profile}"
     registered = get_controller("informed-learning", CAR, profile=profile)
     np.testing.assert_array_equal(registered.learner.parameters(), unknown.learner.parameters())
 
 
 # -- who learns -------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "given", [{}, {"belief": "unknown", "profile": "road"}, {"belief": Steering(lag=0.2)}, {"tuning": Tuning()}]
+    "options", [{}, {"belief": "unknown", "profile": "road"}, {"belief": Steering(lag=0.2)}, {"tuning": Tuning()}]
 )
-def test_where_nobody_says_lag_or_dead_time_the_mpc_learns_and_says_so(given):
-    mpc = MPC(CAR, **given)
+def test_where_nobody_says_lag_or_dead_time_the_mpc_learns_and_says_so(options):
+    mpc = MPC(CAR, **options)
     assert mpc.learner is not None
     assert "; learns, unknown " in repr(mpc)
-    (short, long), (soon, late) = ranges(mpc)
+    (short, long), (soon, late) = mpc.learner.ranges
     assert f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s" in repr(mpc)
     assert mpc.describe()["learning"] == mpc.learns
     assert isinstance(mpc.step([0.0] * 4, 15.0, np.zeros(40)).belief_state, BeliefState)
@@ -85,27 +81,27 @@ def test_nothing_is_learned_where_lag_and_dead_time_are_said_or_learning_is_none
 
 def test_what_nobody_says_is_never_taken_for_certain():
     mpc = MPC(CAR, uncertainty=Uncertainty(stiffness=1.3))
-    assert ranges(mpc).lag == ranges(MPC(CAR)).lag
-    assert ranges(mpc).dead_time == pytest.approx((0.0, ranges(MPC(CAR)).dead_time[1]), abs=0.051)
+    assert mpc.learner.ranges.lag == MPC(CAR).learner.ranges.lag
+    assert mpc.learner.ranges.dead_time == pytest.approx((0.0, MPC(CAR).learner.ranges.dead_time[1]), abs=0.051)
     assert math.exp(mpc.learner.stiffness) == pytest.approx(1.3)
 
 
 def test_in_a_loop_of_ones_own_the_computation_is_learned_with_the_dead_time():
-    own, named = MPC(CAR, learning=LEARNING), MPC(CAR, profile="road", learning=LEARNING)
-    assert (own.belief.computation.value, named.belief.computation.value) == (0.0, named.period)
-    assert ranges(own).dead_time[0] == 0.0
-    assert ranges(own).dead_time[1] >= ranges(named).dead_time[1]
+    bare, with_profile = MPC(CAR, learning=LEARNING), MPC(CAR, profile="road", learning=LEARNING)
+    assert (bare.belief.computation.value, with_profile.belief.computation.value) == (0.0, with_profile.period)
+    assert bare.learner.ranges.dead_time[0] == 0.0
+    assert bare.learner.ranges.dead_time[1] >= with_profile.learner.ranges.dead_time[1]
 
 
 # -- the guide's table ------------------------------------------------------------------------------------------------
-def commanded(**drive):
+def driving_controller(**drive):
     """The informed controller of `drive` with these options."""
     world = load_profile("road")
     learning = make_learning(drive.get("learn", False), drive.get("learned"))
     return make_controller("informed", ControllerSettings(CAR, world, world.period, True, learning=learning))[1]
 
 
-def exported(car, **options):
+def exported_controller(car, **options):
     """The controller of `export c` with these options."""
     choice = ExportOptions(out=Path(), which=ExportedController(car=CarAndPlant()), **options)
     return choice.which.make(car, load_profile(choice.which.profile), choice.computation)
@@ -131,9 +127,9 @@ ROWS = [
     ('`MPC(car, profile="road")`', lambda: MPC(CAR, **NAMED), FROM_PROFILE, 0.05, False),
     ('`MPC(car, profile="road", comp', lambda: MPC(CAR, **NAMED, computation=0.0), FROM_PROFILE, 0.0, False),
     ('`MPC(car, profile="road", learn', lambda: MPC(KNOWN, **NAMED, learning=LEARNING), FROM_FILE, 0.05, True),
-    ("`drive`", commanded, FROM_PROFILE, 0.05, False),
-    ("`drive --learn`", lambda: commanded(learn=True), LEARNED, 0.05, True),
-    ("`export c`", lambda: exported(KNOWN), FROM_FILE, 0.0, False),
+    ("`drive`", driving_controller, FROM_PROFILE, 0.05, False),
+    ("`drive --learn`", lambda: driving_controller(learn=True), LEARNED, 0.05, True),
+    ("`export c`", lambda: exported_controller(KNOWN), FROM_FILE, 0.0, False),
 ]  # fmt: skip
 """Start of a row, its controller, sources of lag and dead time, computation time (s), and whether it learns."""
 
@@ -165,7 +161,7 @@ def test_a_computation_time_adds_to_the_dead_time_wherever_it_is_stated():
         ]
         assert delays == pytest.approx([0.1 + stated] * 3)
     assert KinematicMPC(KNOWN).belief.delay == PreviewLQR(KNOWN).belief.delay == 0.05
-    assert exported(KNOWN, computation=0.02).model.dead_time == pytest.approx(0.07)
+    assert exported_controller(KNOWN, computation=0.02).model.dead_time == pytest.approx(0.07)
 
 
 def test_a_controller_that_learns_counts_a_stated_computation_time_before_the_dead_time():
@@ -233,8 +229,8 @@ def test_a_steering_that_follows_at_once_is_learned_without_losing_the_car():
 
 
 def test_what_the_sheet_leaves_open_is_open_to_who_learns():
-    wide = SHEET.replace(known_within=KnownWithin(mass=1.6, stiffness_front=2.5, stiffness_rear=3.0))
-    assert math.exp(MPC(wide).learner.stiffness) == pytest.approx(3.0 * 1.6)
+    sheet = SHEET.replace(known_within=KnownWithin(mass=1.6, stiffness_front=2.5, stiffness_rear=3.0))
+    assert math.exp(MPC(sheet).learner.stiffness) == pytest.approx(3.0 * 1.6)
     assert math.exp(MPC(SHEET).learner.stiffness) >= 1.62 * 1.15
 
 
@@ -246,15 +242,15 @@ def test_a_certificate_of_who_learns_is_of_how_it_begins_and_names_the_belief():
     assert answer.learned[BELIEF_COLUMNS.used_caution] == mpc.first_caution > 1.0
     begins = mpc.estimator.parameters(mpc.model)
     np.testing.assert_allclose(mpc._mpc.informed.estimator, begins, rtol=1e-12)
-    found = certify(mpc.tuning, DualTrack(SHEET), mpc, "road", levels=(3, 1))
-    assert found.belief == f"{mpc.belief}; {mpc.learns}"
-    result = certificate_result(found)
-    assert result.notes == [f"belief: {found.belief}."]
-    assert result.record["belief"] == found.belief
+    certificate = certify(mpc.tuning, DualTrack(SHEET), mpc, "road", levels=(3, 1))
+    assert certificate.belief == f"{mpc.belief}; {mpc.learns}"
+    result = certificate_result(certificate)
+    assert result.notes == [f"belief: {certificate.belief}."]
+    assert result.record["belief"] == certificate.belief
     heavier = Tuning(mpc.tuning.Np, mpc.tuning.Nc, 1.0, mpc.first_caution * mpc.tuning.R)
     frozen = MPC(SHEET, model=mpc.model, estimator=mpc.estimator)
-    same = certify(heavier, DualTrack(SHEET), frozen, "road", levels=(3, 1))
-    np.testing.assert_allclose(found.bare.straight.radius, same.bare.straight.radius, rtol=1e-9)
+    expected = certify(heavier, DualTrack(SHEET), frozen, "road", levels=(3, 1))
+    np.testing.assert_allclose(certificate.bare.straight.radius, expected.bare.straight.radius, rtol=1e-9)
 
 
 # -- how far it is right ----------------------------------------------------------------------------------------------
@@ -265,8 +261,8 @@ def test_measures_and_the_page_say_for_how_long_a_belief_was_in_each_state():
     states, at_bound = np.full(len(run), float(BeliefState.SETTLED)), np.zeros(len(run))
     states[: len(run) // 2] = BeliefState.LEARNING
     states[-1], at_bound[-1] = BeliefState.AT_BOUND, 1.0
-    said = {**run.diagnostics, "belief_state": states, "belief_at_bound": at_bound}
-    run = dataclasses.replace(run, diagnostics=said)
+    diagnostics = {**run.diagnostics, "belief_state": states, "belief_at_bound": at_bound}
+    run = dataclasses.replace(run, diagnostics=diagnostics)
     measures = compute_metrics(run)
     assert measures.belief_learning == pytest.approx(0.5, abs=0.01)
     assert measures.belief_settled == pytest.approx(0.5, abs=0.01)

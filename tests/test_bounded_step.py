@@ -21,22 +21,22 @@ CAR = load_vehicle("paper")
 compiled = pytest.mark.compiled
 
 
-def capped(most):
+def capped_mpc(most):
     """An MPC that may change its active set so many times."""
     limits = Limits(move=(-0.02, 0.02), angle=(-0.1, 0.1))
     return published_mpc(CAR, Tuning(30, 15, 1.0, 0.01), period=0.05, limits=limits, solver=ActiveSet(most))
 
 
 def test_a_step_beyond_its_changes_follows_the_last_plan_and_says_so():
-    mpc = capped(3)
-    command = mpc.step([0.0, 0.0, 0.0, 0.001], 15.0, [0.0])
-    assert command.status is QPStatus.SOLVED
+    mpc = capped_mpc(3)
+    reply = mpc.step([0.0, 0.0, 0.0, 0.001], 15.0, [0.0])
+    assert reply.status is QPStatus.SOLVED
     planned = mpc._mpc.plan[0, 1]
-    second = mpc.step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0])
-    assert (second.status, second.held) == (QPStatus.CAPPED, True)
-    assert second.iterations <= 4
-    assert second.move == pytest.approx(np.clip(planned, -0.02, 0.02), abs=1e-15)
-    assert capped(None).step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0]).status is QPStatus.SOLVED
+    held_step = mpc.step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0])
+    assert (held_step.status, held_step.held) == (QPStatus.CAPPED, True)
+    assert held_step.iterations <= 4
+    assert held_step.move == pytest.approx(np.clip(planned, -0.02, 0.02), abs=1e-15)
+    assert capped_mpc(None).step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0]).status is QPStatus.SOLVED
 
 
 @compiled

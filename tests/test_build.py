@@ -47,7 +47,7 @@ def quick(tmp_path, monkeypatch):
     monkeypatch.setattr(builder, "kernels_of", dict)
     monkeypatch.setattr(builder, "modules", lambda kernels, stages: [])
     monkeypatch.setattr(builder, "header", lambda kernels: "")
-    monkeypatch.setattr(builder, "_emitted", lambda what, name, paths: (f"{what}-{name}", "o", b"new"))
+    monkeypatch.setattr(builder, "_emitted", lambda target, name, paths: (f"{target}-{name}", "o", b"new"))
     return folder
 
 
@@ -66,8 +66,8 @@ def test_who_has_just_read_the_manifest_before_still_finds_its_library(quick):
     enter(quick, {library.processor(): b"before"}, {"kernel.py": "of then"})
     left = quick / "kernels-of-a-build-that-was-killed"
     left.touch()
-    for each in quick.iterdir():
-        os.utime(each, (long_ago, long_ago))
+    for path in quick.iterdir():
+        os.utime(path, (long_ago, long_ago))
     read = library.manifest()["libraries"][library.processor()]
     builder.build()
     assert library.verified_file(read).read_bytes() == b"before"
@@ -139,10 +139,10 @@ def function(name, line):
     (OTHER, "%1 = ashr i64 %n, 52", ""),
 ])  # fmt: skip
 def test_a_kernel_that_converts_or_shifts_without_bounds_is_found(name, line, broken):
-    others = function(INT, "%1 = fptosi double %x to i64") if name != INT else ""
-    found = violations(others + function(name, line))
-    assert len(found) == bool(broken)
-    assert all(broken in each for each in found)
+    rest_of_module = function(INT, "%1 = fptosi double %x to i64") if name != INT else ""
+    places = violations(rest_of_module + function(name, line))
+    assert len(places) == bool(broken)
+    assert all(broken in place for place in places)
 
 
 @pytest.fixture
@@ -227,7 +227,7 @@ def test_what_is_packed_is_found_in_the_archive_and_a_damaged_file_is_not(quick,
     with tarfile.open(packed) as tar:
         tar.extractall(tmp_path, filter="data")
     folder = tmp_path / packed.name.removesuffix(".tar.gz")
-    assert {each.name for each in folder.iterdir()} > {"LICENSE", "manifest.json"}
+    assert {path.name for path in folder.iterdir()} > {"LICENSE", "manifest.json"}
     file = library.export_of("cortex-m7", folder)
     assert file.read_bytes() == b"new"
     file.write_bytes(b"old")
@@ -246,6 +246,9 @@ CALLS = """
 target datalayout = "e"
 target triple = "any"
 declare double @NAME(double)
+declare double @adaptrack_soft_fma(double, double, double)
+declare double @adaptrack_soft_floor(double)
+declare double @adaptrack_soft_ceil(double)
 define double @adaptrack_kalman(double %x) {
     %y = call double @NAME(double %x)
     ret double %y
@@ -261,6 +264,15 @@ def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
         assert undefined(emit_export(CALLS.replace("NAME", "__aeabi_l2d"), name)) == ["__aeabi_l2d"]
 
 
+@pytest.mark.parametrize("name", emission.COMPILE_TARGETS)
+def test_a_library_that_calls_what_it_lacks_is_refused(name):
+    content = emission.emit(CALLS.replace("NAME", "cbrt"), name)
+    with pytest.raises(builder.BuildError, match=f"the kernels for {name} call .*cbrt"):
+        builder.finished(name, [content])
+
+
 def test_every_kernel_that_a_program_may_call_is_there():
     there = builder.kernels_of()
-    assert not [(name, each) for name, made in EXPORT_TARGETS.items() for each in made.kernels if each not in there]
+    assert not [
+        (name, kernel) for name, export in EXPORT_TARGETS.items() for kernel in export.kernels if kernel not in there
+    ]

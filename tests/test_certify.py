@@ -6,16 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptrack import (
-    MPC,
-    ContractError,
-    DualTrack,
-    InvalidInput,
-    Tuning,
-    load_vehicle,
-    published_mpc,
-    rollout_batch,
-)
+from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc, rollout_batch
 from adaptrack.analysis.certify import OPERATING, certify
 from adaptrack.analysis.linearisation import Mismatch, laws, usual_mismatches
 from adaptrack.analysis.stability import hard_turn, loop_map, loops, radii, spectral_radius
@@ -59,27 +50,27 @@ def stability():
 
 
 def test_a_sound_scheduler_passes_with_margins_everywhere(sound):
-    found = certify(sound, PLANT, MPC_, "road", levels=FEW)
-    worst = found.counted.straight.worst(found.counted.turn)
-    assert found.passed
-    assert found.guarded is None
+    certificate = certify(sound, PLANT, MPC_, "road", levels=FEW)
+    worst = certificate.counted.straight.worst(certificate.counted.turn)
+    assert certificate.passed
+    assert certificate.guarded is None
     assert worst.radius.max() < 1.0
     assert worst.gain_up.min() > 1.2
     assert worst.gain_down.max() < 0.9
     assert worst.delay.min() > 0.02
-    assert len(found.points) == 10 * 2 * 5  # acceleration ahead is the one other input
+    assert len(certificate.points) == 10 * 2 * 5  # acceleration ahead is the one other input
 
 
 def test_an_unstable_constant_is_caught_and_the_place_is_named():
-    found = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW)
-    assert not found.passed
-    summary = found.summary()
-    assert summary["unstable"] == found.counted.unstable.sum() > 0
-    assert summary["unstable_in_turn"] == found.counted.unstable_in_turn.sum() > summary["unstable"]
-    worst = found.worst_points(1, driving="turn")[0]
+    certificate = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW)
+    assert not certificate.passed
+    summary = certificate.summary()
+    assert summary["unstable"] == certificate.counted.unstable.sum() > 0
+    assert summary["unstable_in_turn"] == certificate.counted.unstable_in_turn.sum() > summary["unstable"]
+    worst = certificate.worst_points(1, driving="turn")[0]
     assert (worst["speed"], worst["driving"]) == (30.0, "turn")
     for driving, turn in (("straight", 0.0), ("turn", hard_turn(30.0, worst["friction"]))):
-        worst = found.worst_points(1, driving=driving)[0]
+        worst = certificate.worst_points(1, driving=driving)[0]
         assert worst["driving"] == driving
         assert (worst["Np"], worst["Nc"], worst["R"]) == (28.0, 8.0, 2800.0)
         assert worst["radius"] == pytest.approx(
@@ -89,20 +80,20 @@ def test_an_unstable_constant_is_caught_and_the_place_is_named():
             )
         )  # fmt: skip
         assert summary[driving]["worst"] == worst
-        assert summary[driving]["radius"] == getattr(found.counted, driving).radius.max()
+        assert summary[driving]["radius"] == getattr(certificate.counted, driving).radius.max()
 
 
 def test_a_loop_that_is_unstable_in_a_turn_only_passes_and_the_count_is_in_the_verdict():
-    found = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 24.0)})
-    turn = int(found.counted.unstable_in_turn.sum())
-    assert found.passed
+    certificate = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 24.0)})
+    turn = int(certificate.counted.unstable_in_turn.sum())
+    assert certificate.passed
     assert turn > 0
-    assert f"stable at all {len(found.points)} points" in found.verdict
-    assert f"unstable at {turn} of them in a hard turn" in found.verdict
-    summary = found.summary()
-    assert summary["verdict"] == found.verdict
+    assert f"stable at all {len(certificate.points)} points" in certificate.verdict
+    assert f"unstable at {turn} of them in a hard turn" in certificate.verdict
+    summary = certificate.summary()
+    assert summary["verdict"] == certificate.verdict
     assert summary["straight"]["radius"] < 1.0 < summary["turn"]["radius"]
-    rows = found.rows()
+    rows = certificate.rows()
     assert sum(row["unstable"] for row in rows if row["driving"] == "straight") == 0
     assert sum(row["unstable"] for row in rows if row["driving"] == "turn") == turn
 
@@ -114,31 +105,31 @@ def test_with_the_guard_scrambled_numbers_fail_in_no_drive(scrambled, stability)
     for schedule in (scrambled, Guarded(scrambled, SOUND, stability=stability)):
         mpc = published_mpc(CAR, period=0.05, preview=True, scheduler=schedule)
         runs = rollout_batch(PLANT, mpc, drives, profile="road", seeds=np.arange(8))
-        failed[schedule.name] = sum(each is not None for each in runs.failed)
+        failed[schedule.name] = sum(failure is not None for failure in runs.failed)
     assert failed["table"] > 4
     assert failed["table (guarded)"] == 0
 
 
 def test_the_guard_leaves_a_sound_scheduler_alone(sound, stability):
-    found = certify(Guarded(sound, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
-    assert found.passed
-    assert found.fallback.mean() < 0.05
+    certificate = certify(Guarded(sound, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    assert certificate.passed
+    assert certificate.fallback.mean() < 0.05
 
 
 # -- any scheduler, any domain ----------------------------------------------------------------------------------------
 def test_a_plain_function_is_asked_over_all_scheduling_variables():
-    asked = []
+    calls = []
 
     def careful(variables):
-        asked.append(variables)
+        calls.append(variables)
         return 38.0, 4.0, 1.0, 8000.0
 
-    found = certify(careful, PLANT, MPC_, "road", levels=FEW)
-    seen = np.array(asked)
+    certificate = certify(careful, PLANT, MPC_, "road", levels=FEW)
+    scheduled = np.array(calls)
     for i, name in enumerate(SchedulingVariables._fields):
-        assert (seen[:, i].min(), seen[:, i].max()) == OPERATING[name]
-    assert found.scheduler == "careful"
-    assert found.passed
+        assert (scheduled[:, i].min(), scheduled[:, i].max()) == OPERATING[name]
+    assert certificate.scheduler == "careful"
+    assert certificate.passed
 
 
 @pytest.mark.parametrize("nonsense", [(30, 5, 1.0, 0.0), (30, 5, -1.0, 1.0), (30, np.nan, 1.0, 1.0), (30, 5), None])
@@ -149,11 +140,11 @@ def test_a_function_that_gives_no_tuning_is_refused_with_the_point(nonsense):
 
 def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
     narrow = Lookup({"speed": [8.0, 60.0]}, [[38, 4, 1.0, 8000.0], [38, 4, 1.0, 9000.0]])
-    found = certify(narrow, PLANT, MPC_, "road", levels=FEW)
-    assert (found.speeds[0], found.speeds[-1]) == (8.0, 30.0)
-    assert (found.frictions[0], found.frictions[-1]) == OPERATING["friction"]
-    told = certify(sound, PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 12.0), "friction": (0.5, 0.5)})
-    assert (told.speeds[0], told.speeds[-1], *told.frictions) == (10.0, 12.0, 0.5)
+    certificate = certify(narrow, PLANT, MPC_, "road", levels=FEW)
+    assert (certificate.speeds[0], certificate.speeds[-1]) == (8.0, 30.0)
+    assert (certificate.frictions[0], certificate.frictions[-1]) == OPERATING["friction"]
+    bounded = certify(sound, PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 12.0), "friction": (0.5, 0.5)})
+    assert (bounded.speeds[0], bounded.speeds[-1], *bounded.frictions) == (10.0, 12.0, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -176,28 +167,28 @@ INFORMED = MPC(CAR, profile="road")
 
 
 def test_the_informed_constant_is_stable_everywhere_and_its_margins_are_those_of_its_loop():
-    found = certify(INFORMED.tuning, PLANT, INFORMED, "road", levels=FEW)
-    assert found.passed
-    assert (found.model, found.estimator) == ("path", "kalman")
-    assert "model path, estimator kalman" in found.verdict
-    i = int(np.argmax(found.counted.straight.radius))
-    speed, friction = found.points[i, 0], found.points[i, SchedulingVariables._fields.index("friction")]
+    certificate = certify(INFORMED.tuning, PLANT, INFORMED, "road", levels=FEW)
+    assert certificate.passed
+    assert (certificate.model, certificate.estimator) == ("path", "kalman")
+    assert "model path, estimator kalman" in certificate.verdict
+    i = int(np.argmax(certificate.counted.straight.radius))
+    speed, friction = certificate.points[i, 0], certificate.points[i, SchedulingVariables._fields.index("friction")]
     expected = spectral_radius(PLANT, INFORMED, speed, friction=friction, profile="road")
-    assert found.counted.straight.radius[i] == pytest.approx(expected)
+    assert certificate.counted.straight.radius[i] == pytest.approx(expected)
 
 
 def test_another_car_than_told_is_analysed_beside_and_named():
-    wrong = (Mismatch(lag=0.1), Mismatch(dead_time=-0.05))
-    found = certify(INFORMED.tuning, PLANT, INFORMED, "road", levels=(4, 2), mismatches=wrong)
-    late, prompt = (found.mismatched[each.name] for each in wrong)
-    assert found.passed
+    mismatches = (Mismatch(lag=0.1), Mismatch(dead_time=-0.05))
+    certificate = certify(INFORMED.tuning, PLANT, INFORMED, "road", levels=(4, 2), mismatches=mismatches)
+    late, prompt = (certificate.mismatched[mismatch.name] for mismatch in mismatches)
+    assert certificate.passed
     assert (late.radius > 1.0).any()
     assert (prompt.radius < 1.0).all()
-    assert f"Unstable with lag +0.1 s: {(late.radius >= 1.0).sum()}." in found.verdict
+    assert f"Unstable with lag +0.1 s: {(late.radius >= 1.0).sum()}." in certificate.verdict
     law = laws(INFORMED, 30.0, INFORMED.tuning.as_array())
-    body = wrong[0].sampled(PLANT, 0.05, 30.0, friction=1.0, profile="road")
+    body = mismatches[0].sampled(PLANT, 0.05, 30.0, friction=1.0, profile="road")
     assert late.radius[-1] == pytest.approx(radii(loops(body, law))[0])
-    rows = json.loads(json.dumps(found.summary(), allow_nan=False))["mismatched"]
+    rows = json.loads(json.dumps(certificate.summary(), allow_nan=False))["mismatched"]
     assert [row["mismatch"] for row in rows] == ["lag +0.1 s", "dead time -0.05 s"]
     assert rows[0]["unstable"] == (late.radius >= 1.0).sum()
 
@@ -205,23 +196,25 @@ def test_another_car_than_told_is_analysed_beside_and_named():
 def test_a_cautious_tuning_bears_every_usual_mismatch():
     """Moves at every step are weighed as the errors are: R/Q of 3 bears few of them, one move over 3 s all."""
     cautious = Tuning(60, 1, 1.0, 100.0)
-    found = certify(cautious, PLANT, INFORMED, "road", levels=(4, 2), mismatches=usual_mismatches(0.05))
-    assert len(found.mismatched) == 8
-    assert min(each.modulus_margin.min() for each in found.mismatched.values()) > 0.2
-    assert found.verdict.endswith("Of 8 mismatches none makes it unstable.")
+    certificate = certify(cautious, PLANT, INFORMED, "road", levels=(4, 2), mismatches=usual_mismatches(0.05))
+    assert len(certificate.mismatched) == 8
+    assert min(stability.modulus_margin.min() for stability in certificate.mismatched.values()) > 0.2
+    assert certificate.verdict.endswith("Of 8 mismatches none makes it unstable.")
 
 
 # -- what is told -----------------------------------------------------------------------------------------------------
 def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stability):
-    found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
-    rows = json.loads(json.dumps({"summary": found.summary(), "rows": found.rows()}, allow_nan=False))["rows"]
+    certificate = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    rows = json.loads(json.dumps({"summary": certificate.summary(), "rows": certificate.rows()}, allow_nan=False))[
+        "rows"
+    ]
     assert len(rows) == 2 * 2 * 10 * 2
-    for driving, unstable in (("straight", found.bare.unstable), ("turn", found.bare.unstable_in_turn)):
+    for driving, unstable in (("straight", certificate.bare.unstable), ("turn", certificate.bare.unstable_in_turn)):
         bare = [row for row in rows if not row["guard"] and row["driving"] == driving]
         assert sum(row["unstable"] for row in bare) == unstable.sum()
-        assert max(row["radius"] for row in bare) == pytest.approx(getattr(found.bare, driving).radius.max())
+        assert max(row["radius"] for row in bare) == pytest.approx(getattr(certificate.bare, driving).radius.max())
         assert {(row["speed"], row["friction"]) for row in bare} == {
-            (v, mu) for v in found.speeds for mu in found.frictions
+            (v, mu) for v in certificate.speeds for mu in certificate.frictions
         }
 
 

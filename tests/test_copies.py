@@ -68,7 +68,7 @@ PLANTS = {
 }
 
 
-def track(tracker, first, steps=40):
+def track_road(tracker, first, steps=40):
     """What a tracker says of samples whose yaw rate has the wrong sign, from a sample on."""
     answers = []
     for k in range(first, first + steps):
@@ -78,7 +78,7 @@ def track(tracker, first, steps=40):
     return answers
 
 
-def act(env, steps=12):
+def take_actions(env, steps=12):
     """What an environment says of actions drawn at random, the same for all of its copies."""
     random = np.random.default_rng(1)
     answers = []
@@ -96,7 +96,7 @@ def environment(kind, **options):
 
     env = getattr(gym, kind)(road="country:3", length=150.0, **options)
     env.reset(seed=1)
-    act(env)
+    take_actions(env)
     return env
 
 
@@ -104,49 +104,44 @@ def environment(kind, **options):
 @pytest.mark.parametrize("controller", CONTROLLERS.values(), ids=CONTROLLERS)
 def test_a_tracker_copied_under_way_goes_on_to_the_same_bits(make_copy, controller):
     tracker = at.Tracker(controller(), ROAD)
-    track(tracker, 0)
+    track_road(tracker, 0)
     other = make_copy(tracker)
-    assert repr(track(other, 40)) == repr(track(tracker, 40))
+    assert repr(track_road(other, 40)) == repr(track_road(tracker, 40))
     assert other.controller is not tracker.controller
     assert other._check.suspect
 
 
-@every_copy
-@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
-@pytest.mark.parametrize("kind", ["PathTrackingEnv", "MPCTuningEnv"])
-def test_an_environment_copied_under_way_goes_on_to_the_same_bits(make_copy, plant, kind):
-    env = environment(kind, car=plant())
-    other = make_copy(env)
-    assert act(other) == act(env)
+MANY = [{"num_envs": 34, "threads": 2}, {"num_envs": 2, "random_cars": True}]
+ENVIRONMENTS = [("Env", {"car": plant()}) for plant in PLANTS.values()] + [("VectorEnv", options) for options in MANY]
 
 
 @every_copy
-@pytest.mark.parametrize("options", [{"num_envs": 34, "threads": 2}, {"num_envs": 2, "random_cars": True}], ids=str)
-@pytest.mark.parametrize("kind", ["PathTrackingVectorEnv", "MPCTuningVectorEnv"])
-def test_an_environment_of_many_cars_copied_under_way_goes_on_to_the_same_bits(make_copy, kind, options):
-    env = environment(kind, **options)
+@pytest.mark.parametrize(("form", "options"), ENVIRONMENTS, ids=str)
+@pytest.mark.parametrize("kind", ["PathTracking", "MPCTuning"])
+def test_an_environment_copied_under_way_goes_on_to_the_same_bits(make_copy, kind, form, options):
+    env = environment(kind + form, **options)
     other = make_copy(env)
-    assert act(other, 30) == act(env, 30)  # beyond the end of episodes
+    assert take_actions(other, 30) == take_actions(env, 30)  # beyond the end of episodes of many cars
 
 
 def test_pickles_loaded_in_a_new_process_go_on_to_the_same_bits(tmp_path):
     tracker, env = at.Tracker(at.MPC(CAR, learning=at.Learning()), ROAD), environment("MPCTuningVectorEnv", num_envs=2)
-    track(tracker, 0)
+    track_road(tracker, 0)
     (tmp_path / "under-way").write_bytes(pickle.dumps((tracker, env)))
     code = (
         "import pickle, test_copies\n"
         "tracker, env = pickle.load(open('under-way', 'rb'))\n"
-        "print(repr(test_copies.track(tracker, 40)), test_copies.act(env))"
+        "print(repr(test_copies.track_road(tracker, 40)), test_copies.take_actions(env))"
     )
     home = {"PYTHONPATH": str(Path(__file__).parent)}
     new = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=home, capture_output=True, text=True)
-    assert new.stdout == f"{track(tracker, 40)!r} {act(env)}\n", new.stderr
+    assert new.stdout == f"{track_road(tracker, 40)!r} {take_actions(env)}\n", new.stderr
 
 
 def test_a_copy_of_a_tracker_does_not_write_its_record(tmp_path):
     with at.Tracker(Proportional(), ROAD, record=tmp_path / "log.csv") as tracker:
-        track(copy.deepcopy(tracker), 0)
-        track(tracker, 0, 3)
+        track_road(copy.deepcopy(tracker), 0)
+        track_road(tracker, 0, 3)
     assert len((tmp_path / "log.csv").read_text().splitlines()) == 1 + 3
 
 

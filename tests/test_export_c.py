@@ -29,6 +29,8 @@ from adaptrack.export.tracking import Twin, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
 from programs import find_program
 from references.daqp import Daqp
+from small_controllers import Scripted
+from tracker_calls import calls, in_python
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 HERE = Path(__file__).parent
@@ -94,16 +96,16 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def library_of(folder, way):
     """Exports by name, as libraries of this process; each is made once."""
-    made = {}
+    libraries = {}
 
-    def make(name, **more):
-        key = name, *more.items()
-        if key not in made:
-            at_ = folder / f"{len(made)}-{name}"
+    def make(name, **options):
+        key = name, *options.items()
+        if key not in libraries:
+            at_ = folder / f"{len(libraries)}-{name}"
             controller = CONTROLLERS[name]()
-            export_c(controller, at_, road=way[0], plan=way[1], **more)
-            made[key] = Exported(at_, controller)
-        return made[key]
+            export_c(controller, at_, road=way[0], plan=way[1], **options)
+            libraries[key] = Exported(at_, controller)
+        return libraries[key]
 
     return make
 
@@ -116,8 +118,8 @@ class Exported:
         sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / TARGET / "adaptrack_kernels.o"]
         command = [find_program("gcc"), *exported.STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
                    f"-I{folder}/src", *map(str, sources), "-o", str(folder / "tracker.so")]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        process = subprocess.run(command, capture_output=True, text=True)
+        assert process.returncode == 0, process.stderr
         self.c = ctypes.CDLL(str(folder / "tracker.so"))
         for name in ("size", "path_size", "state_size"):
             getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
@@ -128,10 +130,10 @@ class Exported:
 
 
 class CPath:
-    def __init__(self, c, points, closed=False, more=0):
+    def __init__(self, c, points, closed=False, surplus=0):
         self.points = np.ascontiguousarray(points, float)
         at_ = ctypes.c_void_p(self.points.ctypes.data)
-        size = c.adaptrack_path_size(at_, ctypes.c_size_t(len(points)), int(closed)) + more
+        size = c.adaptrack_path_size(at_, ctypes.c_size_t(len(points)), int(closed)) + surplus
         self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
         self.place = ctypes.c_void_p(self.raw.ctypes.data)
         self.error = c.adaptrack_path(at_, ctypes.c_size_t(len(points)), int(closed), self.place,
@@ -143,8 +145,8 @@ class CTracker:
 
     MARGIN = 64
 
-    def __init__(self, made, constants=None):
-        self.c, self.constants = made.c, made.constants if constants is None else constants
+    def __init__(self, library, constants=None):
+        self.c, self.constants = library.c, library.constants if constants is None else constants
         self.size = self.c.adaptrack_size(self.constants, ctypes.c_size_t(len(self.constants)))
         self.raw = np.full(self.size // 8 + 2 * self.MARGIN, 0xA5A5A5A5A5A5A5A5, np.uint64)
         self.place = ctypes.c_void_p(self.raw[self.MARGIN :].ctypes.data)
@@ -161,16 +163,16 @@ class CTracker:
 
     def follow(self, path, plan=None, near=math.nan):
         self._path = path, plan
-        given = None
+        speed_plan = None
         if plan is not None:
-            self._s, self._v = (np.ascontiguousarray(each, float) for each in (plan.s, plan.speed))
-            given = ctypes.byref(Plan(self._s.ctypes.data, self._v.ctypes.data, self._s.size))
-        return self.c.adaptrack_follow(self.place, path.place, ctypes.c_double(near), given)
+            self._s, self._v = (np.ascontiguousarray(column, float) for column in (plan.s, plan.speed))
+            speed_plan = ctypes.byref(Plan(self._s.ctypes.data, self._v.ctypes.data, self._s.size))
+        return self.c.adaptrack_follow(self.place, path.place, ctypes.c_double(near), speed_plan)
 
     def step(self, sample):
         answer = Answer(math.nan, status=-1)
-        given = Sample(*sample, *[math.nan] * (12 - len(sample)))
-        error = self.c.adaptrack_step(self.place, ctypes.byref(given), ctypes.byref(answer))
+        row = Sample(*sample, *[math.nan] * (12 - len(sample)))
+        error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
         return error, answer
 
     def save(self):
@@ -183,54 +185,16 @@ class CTracker:
 
     @property
     def untouched(self):
-        return all((each == 0xA5A5A5A5A5A5A5A5).all() for each in (self.raw[: self.MARGIN], self.raw[-self.MARGIN :]))
+        return all(
+            (margin == 0xA5A5A5A5A5A5A5A5).all() for margin in (self.raw[: self.MARGIN], self.raw[-self.MARGIN :])
+        )
 
 
-def begun(made, way):
-    tracker, path = CTracker(made), made.path(POINTS)
+def start_tracker(library, way):
+    tracker, path = CTracker(library), library.path(POINTS)
     assert (tracker.error, path.error) == (exported.OK, exported.OK)
     assert tracker.follow(path, way[1]) == exported.OK
     return tracker
-
-
-def calls(rng, count, path):
-    """A car that weaves along a path, its samples noisy, late, lost, doubled, broken; clock and position jump."""
-    s, t, speed = 2.0, 0.0, 12.0
-    for k in range(count):
-        t += rng.choice([0.05, 0.05, 0.05, 0.02, 0.1, 0.2])
-        speed = float(np.clip(speed + rng.normal() * 0.3, 0.0, 20.0)) if k % 400 > 20 else 0.0
-        s += 0.05 * speed
-        if s > path.length + 20.0:
-            s = 2.0
-        foot = path.at(min(s, path.length))
-        offset = 0.4 * math.sin(s / 17.0) + 0.03 * rng.normal()
-        x = float(foot.x) - offset * math.sin(foot.heading) + max(s - path.length, 0.0)
-        y = float(foot.y) + offset * math.cos(foot.heading)
-        yaw = float(foot.heading) + 0.02 * math.cos(s / 17.0) + 0.01 * rng.normal()
-        yaw_rate = speed * float(foot.curvature) + 0.02 * rng.normal()
-        now = t + rng.choice([0.0, 0.0, 0.0, 0.03, 0.15, 0.4])
-        sample = [t, now, x, y, yaw, speed, yaw_rate, 0.02 * rng.normal(), speed * yaw_rate, 0.02 * rng.normal()]
-        for i in np.flatnonzero(rng.uniform(size=10) < 0.01):
-            sample[i] = rng.choice([math.nan, math.inf, 1e300, -1e9])
-        if rng.uniform() < 0.004:
-            sample[2] += rng.choice([-40.0, 25.0])
-        if rng.uniform() < 0.004:
-            sample[:2] = [t + 5.0, t + 5.0]
-        if rng.uniform() < 0.004:
-            sample[:2] = [t - 4.0, t - 4.0]
-        yield sample
-
-
-STATUSES = [each.value for each in at.Status]
-
-
-def in_python(tracker, sample):
-    """A call of the class."""
-    t, now, x, y, yaw, speed, yaw_rate, vy, pull, wheel = sample
-    found = tracker.step(t, x, y, yaw, speed, yaw_rate, now=now if math.isfinite(now) else None, lateral_velocity=vy,
-                         lateral_acceleration=pull, wheel_angle=wheel)  # fmt: skip
-    status = STATUSES.index(found.status)
-    return found.command, float(status), found.offset, found.heading_error, found.station
 
 
 def differing(tracker, answer_of, samples):
@@ -244,81 +208,81 @@ def differing(tracker, answer_of, samples):
             assert answer.status == 9
             continue
         expected = answer_of(sample)[:5]
-        found = (answer.command, float(answer.status), answer.offset, answer.heading_error, answer.station)
+        row = (answer.command, float(answer.status), answer.offset, answer.heading_error, answer.station)
         count += any(struct.pack("d", a) != struct.pack("d", b) and (a == a or b == b)
-                     for a, b in zip(found, expected, strict=True))  # fmt: skip
+                     for a, b in zip(row, expected, strict=True))  # fmt: skip
     return count
 
 
-def compared(library_of, way, name, steps, seed=0):
-    made = library_of(name)
-    tracker, rng = begun(made, way), np.random.default_rng(seed)
-    if made.controller.scheduler is None:
-        twin = Tracker(copy.deepcopy(made.controller), way[0], plan=way[1])
-        found = differing(tracker, lambda sample: in_python(twin, sample), calls(rng, steps, way[0]))
+def count_differences(library_of, way, name, steps, seed=0):
+    library = library_of(name)
+    tracker, rng = start_tracker(library, way), np.random.default_rng(seed)
+    if library.controller.scheduler is None:
+        twin = Tracker(copy.deepcopy(library.controller), way[0], plan=way[1])
+        differences = differing(tracker, lambda sample: in_python(twin, sample), calls(rng, steps, way[0]))
     else:
-        twin = Twin(made.controller, *way)
-        found = differing(tracker, lambda sample: twin.call(sample)[:5], calls(rng, steps, way[0]))
+        twin = Twin(library.controller, *way)
+        differences = differing(tracker, lambda sample: twin.call(sample)[:5], calls(rng, steps, way[0]))
     assert tracker.untouched
-    return found
+    return differences
 
 
 @pytest.mark.parametrize("name", ["informed", "learning", "nn", "stanley"])
 def test_every_step_is_that_of_python(name, library_of, way, caplog):
-    assert compared(library_of, way, name, 400) == 0
+    assert count_differences(library_of, way, name, 400) == 0
 
 
 # -- constants and state ----------------------------------------------------------------------------------------------
-def same_answers(one, other, samples):
-    return all(bytes(one.step(sample)[1]) == bytes(other.step(sample)[1]) for sample in samples)
+def same_answers(first, other, samples):
+    return all(bytes(first.step(sample)[1]) == bytes(other.step(sample)[1]) for sample in samples)
 
 
 def test_a_restored_tracker_goes_on_as_the_saved_one(library_of, way):
-    made = library_of("learning")
-    one, other, rng = begun(made, way), begun(made, way), np.random.default_rng(2)
+    library = library_of("learning")
+    first, other, rng = start_tracker(library, way), start_tracker(library, way), np.random.default_rng(2)
     for sample in calls(rng, 150, way[0]):
-        one.step(sample)
-    state = one.save()
+        first.step(sample)
+    state = first.save()
     samples = list(calls(rng, 150, way[0]))
     assert other.restore(state) == exported.OK
-    assert same_answers(one, other, samples)
+    assert same_answers(first, other, samples)
 
 
 def test_a_state_is_refused_under_other_constants_or_another_path(library_of, way):
-    made = library_of("informed")
-    state, tracker = begun(made, way).save(), CTracker(made)
+    library = library_of("informed")
+    state, tracker = start_tracker(library, way).save(), CTracker(library)
     before = tracker.raw.copy()
     assert tracker.restore(state) == exported.OTHER_PATH
-    assert tracker.follow(made.path(POINTS + 1.0), way[1]) == exported.OK
+    assert tracker.follow(library.path(POINTS + 1.0), way[1]) == exported.OK
     assert tracker.restore(state) == exported.OTHER_PATH
-    assert begun(library_of("production"), way).restore(state) == exported.OTHER_CONSTANTS
-    assert begun(library_of("lqr"), way).restore(state) == exported.OTHER_CONSTANTS
+    assert start_tracker(library_of("production"), way).restore(state) == exported.OTHER_CONSTANTS
+    assert start_tracker(library_of("lqr"), way).restore(state) == exported.OTHER_CONSTANTS
     assert (before[:64] == tracker.raw[:64]).all()
 
 
-def another_tuning(way, made, **tuning):
+def another_tuning(way, library, **tuning):
     """The constants of the same controller, tuned otherwise."""
-    return tracking_block(made.controller.with_tuning(tuning)).content
+    return tracking_block(library.controller.with_tuning(tuning)).content
 
 
 def test_another_tuning_acts_from_the_next_instant_without_a_bump(library_of, way):
-    made = library_of("informed")
-    tracker, other = begun(made, way), begun(made, way)
+    library = library_of("informed")
+    tracker, other = start_tracker(library, way), start_tracker(library, way)
     samples = [[0.05 * k, 0.05 * k, 0.6 * k, 0.3, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan] for k in range(60)]
     for sample in samples[:30]:
         tracker.step(sample)
         other.step(sample)
     last = tracker.step(samples[30])[1].command
     other.step(samples[30])
-    assert tracker.load(another_tuning(way, made, R=100.0 * made.controller.tuning.R)) == exported.OK
+    assert tracker.load(another_tuning(way, library, R=100.0 * library.controller.tuning.R)) == exported.OK
     changed = [tracker.step(sample)[1] for sample in samples[31:]]
-    kept = [other.step(sample)[1] for sample in samples[31:]]
-    assert abs(changed[0].command - last) <= made.controller.limits.move[1] + 1e-12
-    assert [each.status for each in changed] == [each.status for each in kept]
-    assert any(a.command != b.command for a, b in zip(changed, kept, strict=True))
+    expected = [other.step(sample)[1] for sample in samples[31:]]
+    assert abs(changed[0].command - last) <= library.controller.limits.move[1] + 1e-12
+    assert [answer.status for answer in changed] == [answer.status for answer in expected]
+    assert any(a.command != b.command for a, b in zip(changed, expected, strict=True))
 
 
-def changed(block, place, value, kind="<d"):
+def constants_with(block, place, value, kind="<d"):
     """The constants with another word at a byte, and the checksum of that."""
     content = bytearray(block.content)
     struct.pack_into(kind, content, place, value)
@@ -338,11 +302,11 @@ def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checks
         words |= {block.words[mpc + "longest_horizon"]: 5e-324, block.words[mpc + "period"]: 1e-9}
     for array in block.arrays:
         words |= {array.word + 1 + k: 1e300 for k in range(len(array.sizes))}
-    driving = begun(export, way)
+    driving = start_tracker(export, way)
     before = driving.raw.copy()
     for word, value in words.items():
         if word in places:
-            content = changed(block, places[word], value)
+            content = constants_with(block, places[word], value)
             assert CTracker(export).init(content) == exported.DAMAGED, word
             assert driving.load(content) in (exported.DAMAGED, exported.OTHER_SIZES), word
     assert (driving.raw == before).all()
@@ -367,24 +331,24 @@ def test_the_recorded_minute_notices_nine_of_ten_constants_that_are_read(name, f
 
 # -- calls that are wrong ---------------------------------------------------------------------------------------------
 def test_calls_out_of_order_are_refused(library_of, way):
-    made = library_of("informed")
-    tracker = CTracker(made)
+    library = library_of("informed")
+    tracker = CTracker(library)
     error, answer = tracker.step([0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0])
     assert (error, answer.status) == (exported.OUT_OF_ORDER, -1)
     assert math.isnan(answer.command)
-    nothing = CPath(made.c, POINTS[:3])
+    nothing = CPath(library.c, POINTS[:3])
     assert nothing.error == exported.BAD_PATH
     assert tracker.follow(nothing) == exported.BAD_PATH
     tracker.raw[:] = 0
     assert tracker.engage() == exported.NOT_READY
     assert tracker.step([0.0] * 7)[0] == exported.NOT_READY
-    assert made.c.adaptrack_step(None, None, None) == exported.BAD_ARGUMENT
-    assert made.c.adaptrack_init(None, ctypes.c_size_t(0), None, ctypes.c_size_t(0)) == exported.BAD_ARGUMENT
-    assert made.c.adaptrack_state_size(None) == 0
+    assert library.c.adaptrack_step(None, None, None) == exported.BAD_ARGUMENT
+    assert library.c.adaptrack_init(None, ctypes.c_size_t(0), None, ctypes.c_size_t(0)) == exported.BAD_ARGUMENT
+    assert library.c.adaptrack_state_size(None) == 0
 
 
 def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
-    tracker = begun(library_of("informed"), way)
+    tracker = start_tracker(library_of("informed"), way)
     tracker.raw[tracker.MARGIN + 1] |= 1  # as a call that is under way leaves it
     assert tracker.step([0.0] * 7)[0] == exported.BUSY
     assert tracker.load(tracker.constants) == exported.BUSY
@@ -392,39 +356,39 @@ def test_a_tracker_that_is_in_a_call_refuses_another(library_of, way):
 
 
 def test_two_threads_on_one_tracker_get_a_command_or_a_refusal(library_of, way):
-    tracker, found = begun(library_of("informed"), way), []
+    tracker, answers = start_tracker(library_of("informed"), way), []
 
     def call_often():
         for k in range(1000):
             error, answer = tracker.step([0.05 * k, 0.05 * k, 0.6 * k, 0.1, 0.0, 12.0, 0.0, 0.0, math.nan, math.nan])
-            found.append((error, math.isfinite(answer.command)))
+            answers.append((error, math.isfinite(answer.command)))
 
     threads = [threading.Thread(target=call_often) for _ in range(2)]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
-    assert set(found) <= {(exported.OK, True), (exported.BUSY, False)}
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(answers) <= {(exported.OK, True), (exported.BUSY, False)}
     assert tracker.untouched
 
 
 @pytest.mark.parametrize("flaw", ["few", "nan", "inf", "kink", "far"])
 def test_points_that_make_no_path_are_refused_by_number(flaw, library_of):
-    made, points, where = library_of("informed"), POINTS.copy(), 7
+    library, points, where = library_of("informed"), POINTS.copy(), 7
     if flaw == "few":
         points, where = points[:3], 3
     elif flaw == "kink":
         points, where = np.array([[3.0 - abs(k), 0.0] for k in range(-3, 4)]), 3
     else:
         points[7, 0] = {"nan": math.nan, "inf": math.inf, "far": 1e9}[flaw]
-    path = CPath(made.c, points, more=100_000)
+    path = CPath(library.c, points, surplus=100_000)
     assert path.error == exported.BAD_PATH
     assert path.flaw.value == where
 
 
 def test_a_plan_that_is_none_is_refused(library_of, way):
-    made = library_of("informed")
-    tracker, path = CTracker(made), made.path(POINTS)
+    library = library_of("informed")
+    tracker, path = CTracker(library), library.path(POINTS)
     length = way[0].length
 
     class Given:
@@ -438,7 +402,7 @@ def test_a_plan_that_is_none_is_refused(library_of, way):
 
 
 def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_path):
-    made = library_of("informed")
+    library = library_of("informed")
     source = tmp_path / "modes.c"
     source.write_text(
         "#include <fenv.h>\n#include <xmmintrin.h>\n"
@@ -450,12 +414,12 @@ def test_flushed_subnormals_and_other_rounding_are_refused(library_of, way, tmp_
     subprocess.run(
         [find_program("gcc"), "-shared", "-fPIC", str(source), "-o", str(tmp_path / "m.so"), "-lm"], check=True
     )
-    modes, tracker = ctypes.CDLL(str(tmp_path / "m.so")), begun(made, way)
+    modes, tracker = ctypes.CDLL(str(tmp_path / "m.so")), start_tracker(library, way)
     for mode in (modes.flushed, modes.rounded):
         mode(1)
-        found = tracker.init(made.constants), tracker.step([0.0] * 7)[0]
+        codes = tracker.init(library.constants), tracker.step([0.0] * 7)[0]
         mode(0)
-        assert found == (exported.ARITHMETIC, exported.ARITHMETIC)
+        assert codes == (exported.ARITHMETIC, exported.ARITHMETIC)
 
 
 @pytest.mark.parametrize("option", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
@@ -471,30 +435,32 @@ def test_a_file_compiled_without_nan_is_refused_with_the_option_by_name(option, 
 
 # -- the folder -------------------------------------------------------------------------------------------------------
 def test_the_library_asks_for_nothing_and_writes_nothing_static(library_of):
-    made = library_of("learning")
-    done = subprocess.run(["nm", "-u", str(made.folder / "tracker.so")], capture_output=True, text=True, check=True)
-    asked = {line.split()[-1] for line in done.stdout.splitlines()}
-    assert {each for each in asked if not each.startswith(("__cxa", "_ITM", "__gmon"))} == set()
-    (made.folder / "b").mkdir(exist_ok=True)
-    for source in (made.folder / "src").glob("*.c"):
-        found = made.folder / "b" / f"{source.stem}.o"
-        options = "-std=c99", "-O2", f"-I{made.folder}/include"
-        subprocess.run([find_program("gcc"), *options, "-c", str(source), "-o", str(found)], check=True)
-        sizes = subprocess.run(["size", "-A", str(found)], capture_output=True, text=True, check=True).stdout
+    library = library_of("learning")
+    process = subprocess.run(
+        ["nm", "-u", str(library.folder / "tracker.so")], capture_output=True, text=True, check=True
+    )
+    symbols = {line.split()[-1] for line in process.stdout.splitlines()}
+    assert {symbol for symbol in symbols if not symbol.startswith(("__cxa", "_ITM", "__gmon"))} == set()
+    (library.folder / "b").mkdir(exist_ok=True)
+    for source in (library.folder / "src").glob("*.c"):
+        section_file = library.folder / "b" / f"{source.stem}.o"
+        options = "-std=c99", "-O2", f"-I{library.folder}/include"
+        subprocess.run([find_program("gcc"), *options, "-c", str(source), "-o", str(section_file)], check=True)
+        sizes = subprocess.run(["size", "-A", str(section_file)], capture_output=True, text=True, check=True).stdout
         assert all(line.split()[1] == "0" for line in sizes.splitlines() if line.startswith((".data ", ".bss ")))
 
 
 def test_the_recorded_drive_of_the_folder_does_not_differ(library_of):
-    made = library_of("informed")
-    done = subprocess.run(
-        ["make", "-C", str(made.folder), "check", "CFLAGS=-O1 -Werror"], capture_output=True, text=True
+    library = library_of("informed")
+    process = subprocess.run(
+        ["make", "-C", str(library.folder), "check", "CFLAGS=-O1 -Werror"], capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert " 0 differ" in done.stdout
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert " 0 differ" in process.stdout
 
 
 def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
-    made = library_of("informed")
+    library = library_of("informed")
     source = tmp_path / "drive.cpp"
     source.write_text(
         '#include "adaptrack.hpp"\n'
@@ -506,34 +472,26 @@ def test_cpp_drives_without_exceptions_or_allocation(library_of, tmp_path):
         "    if (tracker.ready() || path.through(points, 20) || tracker.follow(path) || tracker.step(sample, answer))\n"
         "        return 1;\n    return answer.status == ADAPTRACK_STATUS_OK && answer.command < 0.0 ? 0 : 2;\n}\n"
     )
-    subprocess.run(["make", "-C", str(made.folder), "lib"], check=True, capture_output=True)
+    subprocess.run(["make", "-C", str(library.folder), "lib"], check=True, capture_output=True)
     command = [find_program("g++"), "-std=c++17", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra",
-               "-Wconversion", "-Wpedantic", "-Werror", f"-I{made.folder}/include", str(source),
-               str(made.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(tmp_path / "drive")]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+               "-Wconversion", "-Wpedantic", "-Werror", f"-I{library.folder}/include", str(source),
+               str(library.folder / "build" / TARGET / "libadaptrack.a"), "-o", str(tmp_path / "drive")]  # fmt: skip
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
     assert subprocess.run([str(tmp_path / "drive")]).returncode == 0
 
 
-class InPython(at.Controller):
-    name = "my own"
-    period = 0.05
-
-    def step(self, state, speed, reference, variables=None, road=None):
-        return 0.0
-
-
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
-        (InPython, "controller 'my own' is none that is compiled ahead"),
+        (lambda: Scripted(lambda t: 0.0), "controller 'scripted' is none that is compiled ahead"),
         (lambda: at.PreviewLQR(CAR), "is none that is compiled ahead"),
         (lambda: at.MPC(CAR, solver=Daqp()), "QP solver 'daqp' .* is Python's"),
         (lambda: at.published_mpc(CAR, scheduler=lambda variables: at.Tuning()), "scheduler .* is Python"),
     ],
 )
-def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, said, tmp_path):
-    with pytest.raises(at.InvalidInput, match=said):
+def test_what_is_python_is_refused_by_name_and_nothing_is_written(make, message, tmp_path):
+    with pytest.raises(at.InvalidInput, match=message):
         export_c(make(), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -556,10 +514,10 @@ def test_what_a_controller_has_learned_travels(library_of):
 def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
     words = ["export", "c", "--vehicle", "midsize-sedan", "--controller", "stanley", "--road", "town", "--out",
              str(tmp_path / "out")]  # fmt: skip
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
-    assert f"make -C {tmp_path / 'out'} check" in done.output
-    names = {each.relative_to(tmp_path / "out").as_posix() for each in (tmp_path / "out").rglob("*.*")}
+    process = CliRunner().invoke(app, words)
+    assert process.exit_code == 0, process.output
+    assert f"make -C {tmp_path / 'out'} check" in process.output
+    names = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")}
     assert {"include/adaptrack.h", "include/adaptrack.hpp", "src/adaptrack.c", "main.c", "constants.bin",
             f"lib/{TARGET}/adaptrack_kernels.o", "CMakeLists.txt", "README.md"} <= names  # fmt: skip
     assert "@" not in (tmp_path / "out" / "README.md").read_text()
@@ -567,11 +525,11 @@ def test_the_command_writes_the_folder_and_says_how_to_prove_it(tmp_path):
 
 def test_a_car_of_which_nobody_says_the_steering_leaves_learning(tmp_path):
     at.vehicle_from_data_sheet("mine", 1450.0, 2.65).to_toml(tmp_path / "car.toml")
-    for more, learns in (([], True), (["--controller", "stanley"], False)):
-        words = ["export", "c", "--vehicle", str(tmp_path / "car.toml"), "--out", str(tmp_path / "out"), *more]
-        done = CliRunner().invoke(app, words)
-        assert done.exit_code == 0, done.output
-        assert ("It believes of the steering" in done.output and "learns" in done.output) == learns
+    for options, learns in (([], True), (["--controller", "stanley"], False)):
+        words = ["export", "c", "--vehicle", str(tmp_path / "car.toml"), "--out", str(tmp_path / "out"), *options]
+        process = CliRunner().invoke(app, words)
+        assert process.exit_code == 0, process.output
+        assert ("It believes of the steering" in process.output and "learns" in process.output) == learns
 
 
 # -- other processors -------------------------------------------------------------------------------------------------
@@ -625,20 +583,20 @@ def _differing_on(target, name, way, place, compiler, emulator):
     samples = np.array([[*sample, rng.uniform(0.3, 1.0), rng.choice([math.nan, 3.0])]
                         for sample in calls(rng, EACH, way[0])])  # fmt: skip
     head = [len(POINTS), way[1].s.size], POINTS, way[1].s, way[1].speed, samples
-    np.concatenate([np.ravel(each) for each in head]).astype(float).tofile(place / "samples")
+    np.concatenate([np.ravel(part) for part in head]).astype(float).tofile(place / "samples")
     sources = [HERE / "processors" / "replay.c", *(place / "src").glob("*.c"), *(place / "lib").rglob("*.o")]
     program = _compile(compiler, sources, place)
     subprocess.run([*emulator, program, "samples", "answers"], check=True, cwd=place)
     twin = Twin(controller, *way)
     expected = np.array([twin.call(sample)[:5] for sample in samples])
-    found = np.fromfile(place / "answers").reshape(-1, 5)
-    same = (found.view(np.int64) == expected.view(np.int64)) | (np.isnan(found) & np.isnan(expected))
-    return int(np.sum(~same.all(axis=1)))
+    answers = np.fromfile(place / "answers").reshape(-1, 5)
+    is_equal = (answers.view(np.int64) == expected.view(np.int64)) | (np.isnan(answers) & np.isnan(expected))
+    return int(np.sum(~is_equal.all(axis=1)))
 
 
 def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
-    made = library_of("informed")
-    tracker, path = CTracker(made), made.path(POINTS)
+    library = library_of("informed")
+    tracker, path = CTracker(library), library.path(POINTS)
     tracker.follow(path, way[1])
     assert tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])[0] == exported.OK
     path.raw[:8] = 0.0
@@ -646,8 +604,8 @@ def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
 
 
 def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):
-    made = library_of("informed")
-    assert [CPath(made.c, POINTS, more=each).error for each in (-20_000, -30_000)] == [
+    library = library_of("informed")
+    assert [CPath(library.c, POINTS, surplus=count).error for count in (-20_000, -30_000)] == [
         exported.TOO_SMALL, exported.TOO_SMALL
     ]  # fmt: skip
 
@@ -657,5 +615,5 @@ def test_a_path_of_more_points_than_the_header_says_is_refused(library_of):
     header = (export.folder / "include" / "adaptrack_config.h").read_text()
     assert "#define ADAPTRACK_MOST_POINTS 100000 " in header
     points = np.stack([np.arange(100_001.0), np.zeros(100_001)], axis=-1)
-    path = CPath(export.c, points, more=1000)
+    path = CPath(export.c, points, surplus=1000)
     assert (path.error, path.flaw.value) == (exported.BAD_PATH, 100_001)

@@ -35,12 +35,12 @@ def every_box(ok):
 def test_the_largest_box_is_that_of_looking_at_all(seed):
     rng = np.random.default_rng(seed)
     ok = rng.uniform(size=(6, 4, 3)) < rng.uniform(0.2, 0.95)
-    found = largest_box(ok)
-    if found is None:
+    box = largest_box(ok)
+    if box is None:
         assert not ok.any()
         return
-    assert ok[found].all(axis=(0, 1)).any()
-    assert ok[found][:, :, 0].size == max(every_box(ok))
+    assert ok[box].all(axis=(0, 1)).any()
+    assert ok[box][:, :, 0].size == max(every_box(ok))
 
 
 @pytest.fixture(scope="module")
@@ -63,19 +63,21 @@ def test_margins_are_the_worse_of_straight_and_turn_of_each_tuning(demanding):
 
 
 def test_what_no_tuning_holds_is_named_and_the_rest_is_held(demanding):
-    held = demanding.is_feasible
+    is_held = demanding.is_feasible
     assert not demanding.passed
-    assert len(demanding.infeasible) == (~held).sum() > 0
+    assert len(demanding.infeasible) == (~is_held).sum() > 0
     assert demanding.infeasible[-1][0] == 30.0
-    np.testing.assert_array_equal(held, (demanding.margins >= 0.3).any(axis=2))
+    np.testing.assert_array_equal(is_held, (demanding.margins >= 0.3).any(axis=2))
     words = demanding.verdict
-    assert words.startswith(f"Infeasible: no tuning holds the loop with a modulus margin of 0.3 at {(~held).sum()} of ")
+    assert words.startswith(
+        f"Infeasible: no tuning holds the loop with a modulus margin of 0.3 at {(~is_held).sum()} of "
+    )
     assert "to 30 m/s on friction 0.3" in words
     assert f"The largest domain that can be held is {demanding.domain}." in words
     (slow, fast), (low, high) = demanding.domain
     inside = (demanding.speeds >= slow) & (demanding.speeds <= fast)
     across = (demanding.frictions >= low) & (demanding.frictions <= high)
-    assert held[np.ix_(inside, across)].all()
+    assert is_held[np.ix_(inside, across)].all()
     assert fast < 30.0
 
 
@@ -102,17 +104,21 @@ def test_the_published_controller_has_no_constant_for_the_whole_road_domain_of_t
 def test_a_car_that_no_tuning_can_hold_has_no_domain():
     slow = load_profile("road")
     slow = slow.replace(steering=slow.steering.replace(lag=3.0))
-    found = feasibility(PLANT, PUBLISHED, slow, speed=(25.0, 28.0), friction=(0.5, 0.5), nodes=FEW)
-    assert found.domain is None
-    assert found.constant is None
-    assert found.verdict.startswith("Infeasible: no tuning holds the loop with a modulus margin of 0.1 at any point of")
-    json.dumps(found.summary(), allow_nan=False)
+    result = feasibility(PLANT, PUBLISHED, slow, speed=(25.0, 28.0), friction=(0.5, 0.5), nodes=FEW)
+    assert result.domain is None
+    assert result.constant is None
+    assert result.verdict.startswith(
+        "Infeasible: no tuning holds the loop with a modulus margin of 0.1 at any point of"
+    )
+    json.dumps(result.summary(), allow_nan=False)
 
 
 def test_mismatches_count_as_further_cars():
     late = Mismatch(lag=0.1)
-    how = {"speed": (20.0, 22.0), "friction": (0.6, 0.6), "nodes": ((30.0,), (10.0,), (0.5,)), "turn": None}
-    alone, both = (feasibility(PLANT, INFORMED, "road", mismatches=each, **how) for each in ((), (late,)))
+    options = {"speed": (20.0, 22.0), "friction": (0.6, 0.6), "nodes": ((30.0,), (10.0,), (0.5,)), "turn": None}
+    alone, both = (
+        feasibility(PLANT, INFORMED, "road", mismatches=mismatches, **options) for mismatches in ((), (late,))
+    )
     law = laws(INFORMED, 22.0, alone.tunings)
     by = [modulus_margin(plant(22.0, 0.6), law)[0] for plant in linear_plants(PLANT, 0.05, "road", None, [late])]
     assert alone.margins[-1, 0, 0] == pytest.approx(by[0], abs=0.01)
@@ -120,7 +126,7 @@ def test_mismatches_count_as_further_cars():
 
 
 @pytest.mark.parametrize(
-    ("asked", "words"),
+    ("options", "words"),
     [
         ({"speed": (9.0, 5.0)}, "speed = .9.0, 5.0.: must be .* low <= high"),
         ({"friction": (0.0, 1.0)}, "friction.0. = 0.0: must be a finite number > 0"),
@@ -130,6 +136,6 @@ def test_mismatches_count_as_further_cars():
         ({"nodes": ((5.0,), (8.0,), (3.0,))}, "no tuning"),
     ],
 )
-def test_what_makes_no_sense_is_refused(asked, words):
+def test_what_makes_no_sense_is_refused(options, words):
     with pytest.raises(InvalidInput, match=words):
-        feasibility(PLANT, PUBLISHED, "road", **asked)
+        feasibility(PLANT, PUBLISHED, "road", **options)

@@ -11,12 +11,7 @@ from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.models import PathModel
-from adaptrack.core.controllers.feed_forward import (
-    FeedForward,
-    bend_size,
-    feed_forward_sizes,
-    road_moves,
-)
+from adaptrack.core.controllers.feed_forward import FeedForward, bend_size, feed_forward_sizes, road_moves
 from adaptrack.core.layout import room
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -32,10 +27,10 @@ STRAIGHT = Road.from_segments([Line(length=500.0)], name="straight")
 
 def winding(count):
     """y (m) in the frame of its tangent of a road that asks for 2 m/s^2 to either side every 6 s."""
-    asked = 2.0 * np.sin(2.0 * math.pi * PERIOD * np.arange(count) / 6.0)
+    accelerations = 2.0 * np.sin(2.0 * math.pi * PERIOD * np.arange(count) / 6.0)
     y = np.zeros(count)
     for i in range(1, count - 1):
-        y[i + 1] = 2.0 * y[i] - y[i - 1] + PERIOD**2 * asked[i]
+        y[i + 1] = 2.0 * y[i] - y[i - 1] + PERIOD**2 * accelerations[i]
     return y
 
 
@@ -65,9 +60,9 @@ def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_roa
         command += move
         x = a @ x + b[:, 0] * command
         y.append((c @ x).item())
-    asked, driven = np.diff(bend[: count + 1], 2) / PERIOD**2, np.diff(y, 2) / PERIOD**2
-    shift = driven[40:].mean() - asked[40:].mean()  # the angle before the first move
-    np.testing.assert_allclose(driven[40:] - shift, asked[40:], atol=0.1)
+    expected, accelerations = np.diff(bend[: count + 1], 2) / PERIOD**2, np.diff(y, 2) / PERIOD**2
+    shift = accelerations[40:].mean() - expected[40:].mean()  # the angle before the first move
+    np.testing.assert_allclose(accelerations[40:] - shift, expected[40:], atol=0.1)
 
 
 def test_a_clothoid_asks_for_the_steady_angle_of_its_growing_curvature():
@@ -99,11 +94,11 @@ def test_tyres_that_slide_ask_for_more_angle():
     road = Road.from_segments([Line(length=20.0), Arc(length=200.0, curvature=0.02)], name="bend")
     speed, friction, shape, model = 17.0, 0.9, 1.3, PathModel(CAR, PERIOD)
     bend = RoadAhead(road, 10.0, [speed]).bend(70, speed, 0.0, PERIOD)
-    linear, whole = moves_of(model, speed, bend, 55, tyres=(friction, shape)).sum(axis=1)
+    linear, sliding = moves_of(model, speed, bend, 55, tyres=(friction, shape)).sum(axis=1)
     share = 0.02 * speed**2 / (friction * 9.80665)
-    more = model.turning()[1] * 0.02 * speed**2 * (shape * math.tan(math.asin(share) / shape) / share - 1.0)
-    assert whole - linear == pytest.approx(more, rel=1e-3)
-    assert more > 0.01
+    extra = model.turning()[1] * 0.02 * speed**2 * (shape * math.tan(math.asin(share) / shape) / share - 1.0)
+    assert sliding - linear == pytest.approx(extra, rel=1e-3)
+    assert extra > 0.01
 
 
 def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
@@ -111,7 +106,7 @@ def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
     t = PERIOD * np.arange(80)
     bend = np.where(t > 1.5, 0.5 * 3.0 * (t - 1.5) ** 2, 0.0)  # from straight to 3 m/s^2
     model = PathModel(CAR, PERIOD)
-    free, slow = (moves_of(model, 10.0, bend, 60, most=each) for each in (1.0, 0.005))
+    free, slow = (moves_of(model, 10.0, bend, 60, most=limit) for limit in (1.0, 0.005))
     assert np.abs(slow).max() <= 0.005 + 1e-12
     assert slow.sum() == pytest.approx(free.sum(), rel=1e-9)
     assert (np.arange(60) @ slow) / slow.sum() == pytest.approx((np.arange(60) @ free) / free.sum(), abs=0.5)

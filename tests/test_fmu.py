@@ -27,6 +27,7 @@ from adaptrack.export.units import car_unit, controller_unit
 from exported import STRICT
 from fmus import Instance, Signals, needed
 from programs import find_program
+from small_controllers import Scripted
 
 pytestmark = [pytest.mark.compiled, needed]
 SOURCES = Path(adaptrack.export.__file__).parent
@@ -72,20 +73,22 @@ def differing(instance, plant, controller, route, profile, driver, seed, late=0)
 
     late: periods by which the commands come later.
     """
-    driven = at.simulate(plant, controller, route, profile=profile, driver=driver, seed=seed)
-    assert driven.failed is None
-    given = Signals(plant, controller, route, profile, driver)
-    loop, found = given.loop(seed), 0
-    states = np.stack([driven.X, driven.Y, driven.psi, driven.vx, driven.vy, driven.yaw_rate], axis=-1)
-    for k in range(given.signals.n):
-        now = loop.sense()
-        sensed = [*now.measured[:8], now.speed]
-        found += not (same(instance.get(*TRUE), states[k]) and same(instance.get(*MEASURED, "measured_speed"), sensed))
-        command = driven.command[k - late] if k >= late else 0.0
-        instance.step(command=command, **given.at(k, instance.get("station")))
-        loop.send(float(driven.command[k]))
+    run = at.simulate(plant, controller, route, profile=profile, driver=driver, seed=seed)
+    assert run.failed is None
+    signals = Signals(plant, controller, route, profile, driver)
+    loop, difference = signals.loop(seed), 0
+    states = np.stack([run.X, run.Y, run.psi, run.vx, run.vy, run.yaw_rate], axis=-1)
+    for k in range(signals.signals.n):
+        sample = loop.sense()
+        sensed = [*sample.measured[:8], sample.speed]
+        difference += not (
+            same(instance.get(*TRUE), states[k]) and same(instance.get(*MEASURED, "measured_speed"), sensed)
+        )
+        command = run.command[k - late] if k >= late else 0.0
+        instance.step(command=command, **signals.at(k, instance.get("station")))
+        loop.send(float(run.command[k]))
         loop.advance()
-    return found
+    return difference
 
 
 LOOPS = {
@@ -99,7 +102,7 @@ LOOPS = {
 
 
 # -- the car ----------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("loop", "version"), [*((each, "3.0") for each in LOOPS), ("informed", "2.0")])
+@pytest.mark.parametrize(("loop", "version"), [*((loop_name, "3.0") for loop_name in LOOPS), ("informed", "2.0")])
 def test_a_loop_over_fmpys_calls_is_a_drive_of_simulate_to_the_bit(loop, version, folder):
     make, profile, driver, route = LOOPS[loop]
     controller = make()
@@ -111,19 +114,19 @@ def test_a_loop_over_fmpys_calls_is_a_drive_of_simulate_to_the_bit(loop, version
 def test_fmpys_own_simulation_is_a_drive_of_simulate_to_the_bit(folder):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     controller, route = at.MPC(CAR, profile="road", preview=True), lane_change()
-    driven = at.simulate(PLANT, controller, route, profile="road", seed=5)
-    given = Signals(PLANT, controller, route, "road", None)
-    rows = [{"time": k * 0.05, "command": driven.command[k], **given.at(k, 0.0)} for k in range(given.signals.n)]
+    run = at.simulate(PLANT, controller, route, profile="road", seed=5)
+    signals = Signals(PLANT, controller, route, "road", None)
+    rows = [{"time": k * 0.05, "command": run.command[k], **signals.at(k, 0.0)} for k in range(signals.signals.n)]
     rows = [{**row, "on_plan": False, "plan_station": 0.0} for row in rows]
     table = np.array([tuple(row.values()) for row in rows], [(name, float) for name in rows[0]])
     for version in ("2.0", "3.0"):
-        found = fmpy.simulate_fmu(
+        result = fmpy.simulate_fmu(
             str(car(folder, version, route)), stop_time=rows[-1]["time"], output_interval=0.05, input=table,
             start_values={"seed": 5}, output=TRUE,
         )  # fmt: skip
         names = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
-        assert all(same(found[a], getattr(driven, b)[: len(found)]) for a, b in zip(TRUE, names, strict=True))
-        assert len(found) == len(rows)
+        assert all(same(result[a], getattr(run, b)[: len(result)]) for a, b in zip(TRUE, names, strict=True))
+        assert len(result) == len(rows)
 
 
 def test_both_descriptions_are_valid(folder):
@@ -134,12 +137,12 @@ def test_both_descriptions_are_valid(folder):
 
 
 def test_a_step_of_several_periods_is_several_steps(folder):
-    one, other = (Instance(car(folder), folder, name) for name in ("one", "other"))
-    one.step(4, command=0.02)
+    first, other = (Instance(car(folder), folder, name) for name in ("one", "other"))
+    first.step(4, command=0.02)
     for _ in range(4):
         other.step(command=0.02)
-    assert same(one.get(*TRUE), other.get(*TRUE))
-    assert one.get("time") == other.get("time") == 4 * 0.05
+    assert same(first.get(*TRUE), other.get(*TRUE))
+    assert first.get("time") == other.get("time") == 4 * 0.05
 
 
 # -- the controller ---------------------------------------------------------------------------------------------------
@@ -165,14 +168,14 @@ def pilot(folder, name, version="3.0"):
 def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None):
     """The car's true states with a controller in a loop; parallel: both step from what the other gave before."""
     _, profile, driver, _ = LOOPS[name]
-    own = car(folder, version, country(), profile, driver, controller_of(name).period)
-    body = Instance(own, folder, seed=2, parallel_exchange=parallel)
+    vehicle = car(folder, version, country(), profile, driver, controller_of(name).period)
+    body = Instance(vehicle, folder, seed=2, parallel_exchange=parallel)
     mind = Instance(pilot(folder, name, version), folder, wheel_angle_known=True)
-    given, states = Signals(PLANT, controller_of(name), country(), profile, driver), []
+    signals, states = Signals(PLANT, controller_of(name), country(), profile, driver), []
     for k in range(periods):
         states.append(body.get(*TRUE))
         sample = {name: body.get(output) for name, output in SAMPLES.items()}
-        plan = given.at(k, body.get("station"))
+        plan = signals.at(k, body.get("station"))
         before = mind.get("command")
         mind.step(**sample)
         body.step(command=before if parallel else mind.get("command"), **plan)
@@ -187,12 +190,12 @@ def test_the_controller_is_the_tracker_to_the_bit(name, folder):
     names = ("command", "offset", "heading_error", "station")
 
     def watch(k, sample, mind):
-        now = k * mind.period
-        place = [sample[each] for each in ("x", "y", "yaw", "speed", "yaw_rate")]
-        found = tracker.step(now - sample["age"], *place, wheel_angle=sample["wheel_angle"], now=now)
-        status = list(at.Status).index(found.status)
+        instant = k * mind.period
+        place = [sample[name] for name in ("x", "y", "yaw", "speed", "yaw_rate")]
+        answer = tracker.step(instant - sample["age"], *place, wheel_angle=sample["wheel_angle"], now=instant)
+        status = list(at.Status).index(answer.status)
         differ.append(
-            not same([getattr(found, each) for each in names], mind.get(*names)) or status != mind.get("status")
+            not same([getattr(answer, name) for name in names], mind.get(*names)) or status != mind.get("status")
         )
 
     states = drive(folder, name, watch=watch)
@@ -201,10 +204,10 @@ def test_the_controller_is_the_tracker_to_the_bit(name, folder):
 
 
 def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
-    made = at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn"))
-    tracking = record_of(made, country().road, country().plan)
+    controller = at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn"))
+    tracking = record_of(controller, country().road, country().plan)
     step, mind = direct(tracker_step, tracking), Instance(
-        write_fmu(controller_unit(made, country().road, country().plan), folder / "schedule.fmu"), folder,
+        write_fmu(controller_unit(controller, country().road, country().plan), folder / "schedule.fmu"), folder,
         friction_known=True,
     )  # fmt: skip
     place = country().road.at(np.arange(30) * 1.2)
@@ -222,10 +225,10 @@ def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
 
 def test_the_two_drive_a_planned_road_by_themselves(folder):
     driver = at.Driver()
-    own = car(folder, "3.0", country(), "road", driver, 0.05)
+    vehicle = car(folder, "3.0", country(), "road", driver, 0.05)
     path = folder / "alone.fmu"
     unit = controller_unit(controller_of("informed"), country().road, country().plan, speed_preview=driver.preview)
-    body, mind = Instance(own, folder), Instance(write_fmu(unit, path), folder, wheel_angle_known=True)
+    body, mind = Instance(vehicle, folder), Instance(write_fmu(unit, path), folder, wheel_angle_known=True)
     assert mind.get("planned_speed") == country().plan.speed[0]
     for _ in range(120):
         mind.step(**{name: body.get(output) for name, output in SAMPLES.items()})
@@ -243,20 +246,20 @@ def test_both_versions_drive_alike_to_the_bit(folder):
 # -- state, instances -------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_state_that_is_carried_to_another_instance_goes_on_to_the_bit(version, folder):
-    one, other = (Instance(car(folder, version, country(), "production"), folder, name) for name in ("one", "other"))
+    first, other = (Instance(car(folder, version, country(), "production"), folder, name) for name in ("one", "other"))
     for k in range(40):
-        one.step(command=0.01 * math.sin(k))
-    other.restore(one.saved())
-    other.steps = one.steps
+        first.step(command=0.01 * math.sin(k))
+    other.restore(first.saved())
+    other.steps = first.steps
     for k in range(20):
-        for each in (one, other):
-            each.step(command=0.02 * math.cos(k))
-        assert same(one.get(*TRUE, *MEASURED), other.get(*TRUE, *MEASURED))
+        for instance in (first, other):
+            instance.step(command=0.02 * math.cos(k))
+        assert same(first.get(*TRUE, *MEASURED), other.get(*TRUE, *MEASURED))
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("call", "says"),
     [
         (lambda car: car.step(command=math.nan), "at t = 0.05 s the value with reference 10 is nan: it must be finite"),
         (lambda car: car.step(friction_rear_left=0.0), "reference 17 is 0: it must be finite and from 0.001 to 3"),
@@ -271,12 +274,12 @@ def test_a_state_that_is_carried_to_another_instance_goes_on_to_the_bit(version,
         (lambda car: car.fmu.enterInitializationMode(startTime=0.0), "reset first"),
     ],
 )
-def test_a_wrong_call_is_refused_and_changes_nothing(wrong, says, folder, capfd):
+def test_a_wrong_call_is_refused_and_changes_nothing(call, says, folder, capfd):
     instance = Instance(car(folder), folder)
     instance.step(command=0.01)
     before = instance.saved()
     with pytest.raises(Exception, match="failed"):
-        wrong(instance)
+        call(instance)
     assert says in "".join(capfd.readouterr())
     instance.set(command=0.01, friction_rear_left=0.9)
     assert instance.saved() == before
@@ -323,19 +326,12 @@ def flipped(content, place):
     return content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :]
 
 
-class Straight(at.Controller):
-    """A controller in Python."""
-
-    def step(self, state, speed, reference, variables=None, road=None):
-        return 0.0
-
-
 def test_what_is_not_compiled_ahead_of_time_is_refused_by_name(folder):
-    own = at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)
+    plant = at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)
     with pytest.raises(at.InvalidInput, match=r"user|of your own"):
-        write_fmu(car_unit(own), folder / "own.fmu")
+        write_fmu(car_unit(plant), folder / "own.fmu")
     with pytest.raises(at.InvalidInput, match="none that is compiled ahead of time"):
-        controller_unit(Straight(), country().road)
+        controller_unit(Scripted(lambda t: 0.0), country().road)
     with pytest.raises(at.InvalidInput, match=r"must end in \.fmu"):
         write_fmu(car_unit(PLANT), folder / "car.zip")
 
@@ -350,15 +346,15 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
     for source in fmu_build.FMU_SOURCES:
         if source.suffix == ".c":
             include = ["-I", str(SOURCES / "c"), "-I", str(SOURCES / "fmu_c")]
-            made = ["-c", str(source), "-o", str(tmp_path / "made.o")]
-            subprocess.run([find_program("gcc"), *STRICT, "-Wno-pedantic", *options, *include, *made], check=True)
+            outputs = ["-c", str(source), "-o", str(tmp_path / "made.o")]
+            subprocess.run([find_program("gcc"), *STRICT, "-Wno-pedantic", *options, *include, *outputs], check=True)
 
 
 # -- without FMPy -----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("system", ["linux", pytest.param("windows", marks=pytest.mark.slow)])
 def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder, tmp_path):
-    own = fmu_build.SYSTEMS[system]
-    binary = fmu_build.FMU_FOLDER / f"fmu-{system}.{own.ending}"
+    platform = fmu_build.SYSTEMS[system]
+    binary = fmu_build.FMU_FOLDER / f"fmu-{system}.{platform.ending}"
     if not binary.exists():
         pytest.skip(f"the binary for {system} is not built")
     wine = [] if system == "linux" else [find_program("wine64")]
@@ -366,7 +362,7 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     libraries = [] if wine else ["-ldl"]
     source = Path(__file__).parent / "processors" / "fmu_driver.c"
     subprocess.run(
-        [find_program(own.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True
+        [find_program(platform.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True
     )
     block = constants(unit)
     (tmp_path / "constants.bin").write_bytes(block.content)
@@ -374,26 +370,26 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     shutil.copy(binary, tmp_path / binary.name)
     library = binary.name if wine else str(tmp_path / binary.name)
     token = f"{{{zlib.crc32(block.content):08x}}}"
-    given = [library, place, token, repr(unit.period), "200", str(kernel.CAR_VALUE.command)]
-    done = subprocess.run([*wine, str(driver), *given], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    arguments = [library, place, token, repr(unit.period), "200", str(kernel.CAR_VALUE.command)]
+    process = subprocess.run([*wine, str(driver), *arguments], cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
     resident = Resident(unit.record)
     kernel.car_begin(resident)
     for k in range(200):
         unit.record.values[kernel.CAR_VALUE.command] = (k % 41 - 20) / 512.0
         assert kernel.car_step(resident) == 0
     expected = unit.record.values[kernel.CAR_VALUE.measured_x : kernel.CAR_VALUE.ended]
-    bits = [0 if math.isnan(each) else int(np.float64(each).view(np.uint64)) for each in expected]
-    assert [int(each, 16) for each in done.stdout.split()] == bits
+    bits = [0 if math.isnan(value) else int(np.float64(value).view(np.uint64)) for value in expected]
+    assert [int(word, 16) for word in process.stdout.split()] == bits
 
 
 def test_the_command_writes_both(folder, monkeypatch, capsys):
-    given = ["export", "fmu", "--road", "country", "--road-seed", "3", "--fmi", "2.0", "--out", str(folder), "--json"]
-    monkeypatch.setattr(sys, "argv", ["adaptrack", *given])
+    options = ["--road", "country", "--road-seed", "3", "--fmi", "2.0", "--json", "--out", str(folder)]
+    monkeypatch.setattr(sys, "argv", ["adaptrack", "export", "fmu", *options])
     assert cli.main() == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["fmi"] == "2.0"
-    for file in said["files"]:
+    report = json.loads(capsys.readouterr().out)
+    assert report["fmi"] == "2.0"
+    for file in report["files"]:
         assert b'fmiVersion="2.0"' in zipfile.ZipFile(file).read("modelDescription.xml")
     again = at.export_fmu(PLANT, folder / "again.fmu", country(), profile="road")
     other = at.export_fmu(PLANT, folder / "other.fmu", country(), profile="road")
@@ -408,14 +404,14 @@ def test_in_a_parallel_exchange_the_cars_own_delay_is_a_period_shorter_to_the_bi
 
 def test_instances_share_nothing(folder):
     alone = Instance(car(folder), folder, "alone", seed=3)
-    apart = [Instance(car(folder), folder, str(seed), seed=seed) for seed in (3, 4)]
+    instances = [Instance(car(folder), folder, str(seed), seed=seed) for seed in (3, 4)]
     for k in range(30):
         alone.step(command=0.01 * k)
     for k in range(30):
-        for i, each in enumerate(apart):
-            each.step(command=0.01 * k * (-1) ** i)
-    assert same(alone.get(*TRUE, *MEASURED), apart[0].get(*TRUE, *MEASURED))
-    assert apart[1].get("y") == pytest.approx(-alone.get("y"))
+        for i, instance in enumerate(instances):
+            instance.step(command=0.01 * k * (-1) ** i)
+    assert same(alone.get(*TRUE, *MEASURED), instances[0].get(*TRUE, *MEASURED))
+    assert instances[1].get("y") == pytest.approx(-alone.get("y"))
 
 
 def test_an_instance_that_is_reset_begins_anew(folder):

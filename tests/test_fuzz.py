@@ -29,15 +29,15 @@ compiled = pytest.mark.compiled
 @pytest.mark.parametrize("name", TARGETS)
 @compiled
 def test_hostile_inputs_break_no_claim(name):
-    found = search(3000, seed=1, targets=[name])
-    assert found.steps[name] == 3000
-    assert [failed.claim for failed in found.failed] == []
+    outcome = search(3000, seed=1, targets=[name])
+    assert outcome.steps[name] == 3000
+    assert [failed.claim for failed in outcome.failed] == []
 
 
 @compiled
 def test_hostile_inputs_break_no_claim_inside_the_kernels():
-    found = search_compiled(100_000, seed=1)
-    assert [failed.claim for failed in found.failed] == []
+    outcome = search_compiled(100_000, seed=1)
+    assert [failed.claim for failed in outcome.failed] == []
 
 
 @settings(max_examples=30)
@@ -48,10 +48,12 @@ def test_no_sample_however_hostile_raises_or_stays(kind, row, speed, ahead):
     """A good second later the controller solves again."""
     case = {"target": "mpc", "kind": kind, "car": "paper", "profile": "road", "lies": False, "frozen": False,
             "preview": False}  # fmt: skip
-    bad = {"state": row, "speed": speed, "reference": ahead, "good": False}
-    good = {"state": GOOD, "speed": 15.0, "reference": [0.0], "good": False}
-    wiggling = [{**good, "state": [0.01, 0.002, 0.003, 0.1 + 0.001 * (k % 2)]} for k in range(100)]
-    assert replay(case, [good, bad, *wiggling, bad, *({**each, "good": True} for each in wiggling)]) is None
+    bad_step = {"state": row, "speed": speed, "reference": ahead, "good": False}
+    good_step = {"state": GOOD, "speed": 15.0, "reference": [0.0], "good": False}
+    wiggling = [{**good_step, "state": [0.01, 0.002, 0.003, 0.1 + 0.001 * (k % 2)]} for k in range(100)]
+    assert (
+        replay(case, [good_step, bad_step, *wiggling, bad_step, *({**step, "good": True} for step in wiggling)]) is None
+    )
 
 
 @compiled
@@ -101,8 +103,8 @@ def test_a_filter_sees_the_samples_of_a_step_whose_tuning_is_none():
     tunings = [[20, 5, 1.0, -1.0], [20, 5, 1.0, 10.0]]
     states = []
     for first in tunings:
-        asked = iter([tunings[1], first, tunings[1]])
-        mpc = MPC(CAR, profile="road", scheduler=lambda variables, asked=asked: next(asked))
+        answers = iter([tunings[1], first, tunings[1]])
+        mpc = MPC(CAR, profile="road", scheduler=lambda variables, tunings_in_turn=answers: next(tunings_in_turn))
         for k in range(3):
             mpc.applied(0.0)
             mpc.step([0.0, 0.0, 0.01 * k, 0.1 * k], 15.0, REFERENCE, (15.0, 0.0, 0.6, 0.0))
@@ -115,9 +117,9 @@ def test_a_filter_sees_the_samples_of_a_step_whose_tuning_is_none():
 def test_a_sample_of_an_absurd_age_is_left_out():
     mpc = MPC(CAR, profile="road", learning=Learning())
     for age in (0.0, 1e300, math.inf, -1e300, 0.0):
-        told = mpc.step([*GOOD, math.nan, math.nan, 0.0, age, 0.0], 15.0, REFERENCE)
-        assert told.status is QPStatus.SOLVED
-        assert np.isfinite(told.learned).all()
+        step = mpc.step([*GOOD, math.nan, math.nan, 0.0, age, 0.0], 15.0, REFERENCE)
+        assert step.status is QPStatus.SOLVED
+        assert np.isfinite(step.learned).all()
 
 
 @pytest.mark.parametrize("angle", [2.0, -1e300, math.nan])
@@ -129,16 +131,16 @@ def test_no_wheel_has_such_an_angle(angle):
 STRAIGHT = Road.from_segments([Line(length=300.0)])
 
 
-def called(tracker, t, x=0.0, **more):
+def call_on_line(tracker, t, x=0.0, **values):
     """A call of a car on the line."""
-    return tracker.step(t, **{"x": x, "y": 0.1, "yaw": 0.0, "speed": 10.0, "yaw_rate": 0.0, **more})
+    return tracker.step(t, **{"x": x, "y": 0.1, "yaw": 0.0, "speed": 10.0, "yaw_rate": 0.0, **values})
 
 
 @pytest.mark.parametrize(
     "absurd",
     [{"x": 1e300}, {"y": -1e20}, {"yaw": 1e300}, {"speed": 1e300}, {"yaw_rate": 1e300}, {"lateral_velocity": 1e300},
      {"now": 1e18}],
-    ids=lambda each: next(iter(each)),
+    ids=lambda case: next(iter(case)),
 )  # fmt: skip
 @compiled
 def test_what_no_car_can_have_counts_as_not_measured(absurd):
@@ -146,16 +148,16 @@ def test_what_no_car_can_have_counts_as_not_measured(absurd):
     for first in (absurd, {}):  # as the first call, and among others
         tracker.engage()
         calls = [{"x": 0.5 * k, **(absurd if k == 5 else first if k == 0 else {})} for k in range(9)]
-        told = [called(tracker, 0.05 * k, **each) for k, each in enumerate(calls)]
-        assert all(math.isfinite(each.command) for each in told)
+        steps = [call_on_line(tracker, 0.05 * k, **values) for k, values in enumerate(calls)]
+        assert all(math.isfinite(step.command) for step in steps)
         if "now" not in absurd:
-            assert told[-1].status is Status.OK
+            assert steps[-1].status is Status.OK
 
 
 def test_a_path_too_far_away_to_compare_begins_the_tracker_anew():
     tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
-    before = called(tracker, 0.0)
+    before = call_on_line(tracker, 0.0)
     tracker.follow(Road.from_segments([Line(length=100.0)], start=(1e6, 1e6, 0.0)))
-    told = called(tracker, 0.05, 0.5)
-    assert told.status in (Status.OFF_PATH, Status.HELD)  # there is no foot of the car to steer by
-    assert abs(told.command - before.command) <= tracker.controller.limits.move[1] + 1e-12
+    step = call_on_line(tracker, 0.05, 0.5)
+    assert step.status in (Status.OFF_PATH, Status.HELD)  # there is no foot of the car to steer by
+    assert abs(step.command - before.command) <= tracker.controller.limits.move[1] + 1e-12

@@ -55,12 +55,12 @@ class Law(at.Controller):
 
 def drive(env, act, **reset):
     """The observations, rewards and last info of an episode, the first info, and its last flags."""
-    seen, first = env.reset(**reset)
-    rewards, all_seen, over = [], [seen], False
+    observation, first = env.reset(**reset)
+    rewards, all_seen, over = [], [observation], False
     while not over:
-        seen, reward, terminated, truncated, info = env.step(act(seen))
+        observation, reward, terminated, truncated, info = env.step(act(observation))
         rewards.append(reward)
-        all_seen.append(seen)
+        all_seen.append(observation)
         over = terminated or truncated
     return np.array(all_seen), np.array(rewards), first, info, (terminated, truncated)
 
@@ -71,13 +71,13 @@ def drive(env, act, **reset):
 def test_a_law_that_steers_the_environment_has_the_run_of_simulate_to_the_bit(profile):
     env = PathTrackingEnv(car="van", profile=profile, **SHORT)
     law = Law(at.load_profile(profile).period)
-    seen, rewards, first, info, flags = drive(env, lambda row: [law.command(row[0], row[1])], seed=5)
+    observations, rewards, first, info, flags = drive(env, lambda row: [law.command(row[0], row[1])], seed=5)
     law.reset()
     car = at.load_vehicle("van")
     run = at.simulate(
         at.get_plant("dual-track", car), law, env.task.drive(0, car), profile=profile, seed=first["noise_seed"]
     )
-    assert np.array_equal(seen[1:, 5], run.command[np.isfinite(run.command)])
+    assert np.array_equal(observations[1:, 5], run.command[np.isfinite(run.command)])
     assert info["failed"] == (run.failed or "")
     assert flags == (bool(run.failed), not run.failed)
     cost = at.compute_metrics(run, move_weight=at.load_profile(profile).move_weight).cost
@@ -105,15 +105,15 @@ def test_a_constant_choice_has_the_run_of_simulate_with_that_tuning_to_the_bit()
 def same_as_alone(several, alone, choose):
     """Drive two episodes of each car in both forms and compare all but the action that begins the second one."""
     count, seed = several.num_envs, 11
-    seen, infos = several.reset(seed=seed)
+    observations, infos = several.reset(seed=seed)
     lonely = [alone() for _ in range(count)]
     begun = [env.reset(seed=seed + i) for i, env in enumerate(lonely)]
     assert infos["noise_seed"].tolist() == [info["noise_seed"] for _, info in begun]
-    assert np.array_equal(seen, [row for row, _ in begun])
+    assert np.array_equal(observations, [row for row, _ in begun])
     over, episodes = np.zeros(count, bool), 0
     while episodes < 2 * count:
-        actions = np.array([choose(row) for row in seen])
-        seen, rewards, terminated, truncated, infos = several.step(actions)
+        actions = np.array([choose(row) for row in observations])
+        observations, rewards, terminated, truncated, infos = several.step(actions)
         for i, env in enumerate(lonely):
             if over[i]:
                 expected = (env.reset()[0], 0.0, False, False)
@@ -124,7 +124,7 @@ def same_as_alone(several, alone, choose):
                 if expected[2] or expected[3]:
                     assert infos["failed"][i] == info["failed"]
                     assert infos["J"][i] == pytest.approx(info["J"], rel=1e-12)
-            assert np.array_equal(seen[i], expected[0])
+            assert np.array_equal(observations[i], expected[0])
             assert rewards[i] == expected[1]
             assert (terminated[i], truncated[i]) == tuple(expected[2:])
         over = terminated | truncated
@@ -132,9 +132,9 @@ def same_as_alone(several, alone, choose):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("more", [{}, {"random_cars": True}, {"profile": "production"}], ids=str)
-def test_a_steered_car_has_the_same_run_alone_and_among_others_to_the_bit(more):
-    task = {"road": STEP, **more}
+@pytest.mark.parametrize("options", [{}, {"random_cars": True}, {"profile": "production"}], ids=str)
+def test_a_steered_car_has_the_same_run_alone_and_among_others_to_the_bit(options):
+    task = {"road": STEP, **options}
     law = Law(0.05)
     same_as_alone(
         PathTrackingVectorEnv(3, **task), lambda: PathTrackingEnv(**task), lambda row: [law.command(row[0], row[1])]
@@ -145,11 +145,7 @@ def test_a_steered_car_has_the_same_run_alone_and_among_others_to_the_bit(more):
 @pytest.mark.parametrize("controller", ["informed", "informed-learning", "as-written"])
 def test_a_tuned_car_has_the_same_run_alone_and_among_others_to_the_bit(controller):
     task = {"road": [STEP, STEP.replace(name="shorter", duration=2.9)], "controller": controller}
-    same_as_alone(
-        MPCTuningVectorEnv(2, **task),
-        lambda: MPCTuningEnv(**task),
-        lambda row: [-0.3, -0.5, 0.1 * row[6]],
-    )
+    same_as_alone(MPCTuningVectorEnv(2, **task), lambda: MPCTuningEnv(**task), lambda row: [-0.3, -0.5, 0.1 * row[6]])
 
 
 @pytest.mark.compiled
@@ -167,21 +163,21 @@ def test_threads_and_blocks_change_nothing():
 # -- Gymnasium's contract ---------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", ["adaptrack/PathTracking-v0", "adaptrack/MPCTuning-v0"])
-@pytest.mark.parametrize("more", [{}, {"random_cars": True, "profile": "production"}], ids=str)
-def test_gymnasium_finds_nothing_to_say(name, more):
-    check_env(gymnasium.make(name, road=STEP, **more).unwrapped, skip_render_check=True)
+@pytest.mark.parametrize("options", [{}, {"random_cars": True, "profile": "production"}], ids=str)
+def test_gymnasium_finds_nothing_to_say(name, options):
+    check_env(gymnasium.make(name, road=STEP, **options).unwrapped, skip_render_check=True)
 
 
 @pytest.mark.compiled
 def test_a_seed_is_a_run_and_other_episodes_have_other_noise():
     env = PathTrackingEnv(road=STEP)
-    one, again, other = (drive(env, lambda row: [0.01], seed=seed) for seed in (1, 1, 2))
-    assert np.array_equal(one[0], again[0])
-    assert not np.array_equal(one[0], other[0])
+    first, again, other = (drive(env, lambda row: [0.01], seed=seed) for seed in (1, 1, 2))
+    assert np.array_equal(first[0], again[0])
+    assert not np.array_equal(first[0], other[0])
     following = drive(env, lambda row: [0.01])
-    assert following[2]["noise_seed"] not in (one[2]["noise_seed"], other[2]["noise_seed"])
-    chosen = drive(env, lambda row: [0.01], options={"noise_seed": one[2]["noise_seed"]})
-    assert np.array_equal(one[0], chosen[0])
+    assert following[2]["noise_seed"] not in (first[2]["noise_seed"], other[2]["noise_seed"])
+    chosen = drive(env, lambda row: [0.01], options={"noise_seed": first[2]["noise_seed"]})
+    assert np.array_equal(first[0], chosen[0])
 
 
 @pytest.mark.compiled
@@ -224,9 +220,9 @@ class Breaking(at.SteppedPlant):
 @pytest.mark.compiled
 def test_a_simulator_in_python_is_driven_and_what_is_seen_of_its_breakdown_is_finite():
     env = PathTrackingEnv(car=Breaking(), road="country:3")
-    seen, _, _, info, flags = drive(env, lambda row: [0.0], seed=1)
+    observations, _, _, info, flags = drive(env, lambda row: [0.0], seed=1)
     assert (info["failed"], *flags) == ("not-finite", True, False)
-    assert all(env.observation_space.contains(row) for row in seen)
+    assert all(env.observation_space.contains(row) for row in observations)
 
 
 @pytest.mark.compiled
@@ -239,14 +235,14 @@ def test_a_simulator_in_python_is_not_driven_among_many():
 def test_what_is_seen_of_a_bend_is_its_curvature():
     road = at.generate_road("country", seed=3, length=200.0)
     env = PathTrackingEnv(road=at.RoadDrive(road, 10.0), distances=(0.0, 30.0))
-    seen, *_ = drive(env, lambda row: [0.0], seed=1)
+    observations, *_ = drive(env, lambda row: [0.0], seed=1)
     assert env.names[-2:] == ("curvature_0m", "curvature_30m")
-    assert seen[0, -2:] == pytest.approx(road.at(np.array([0.0, 30.0])).curvature, abs=1e-9)
+    assert observations[0, -2:] == pytest.approx(road.at(np.array([0.0, 30.0])).curvature, abs=1e-9)
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("options", "message"),
     [
         ({"road": []}, "road = "),
         ({"road": 3}, "road = 3"),
@@ -257,9 +253,9 @@ def test_what_is_seen_of_a_bend_is_its_curvature():
         ({"distances": (-1.0,)}, "distances"),
     ],
 )
-def test_what_makes_no_environment_is_refused(wrong, said):
-    with pytest.raises(InvalidInput, match=said):
-        PathTrackingEnv(**{"road": STEP, **wrong})
+def test_what_makes_no_environment_is_refused(options, message):
+    with pytest.raises(InvalidInput, match=message):
+        PathTrackingEnv(**{"road": STEP, **options})
 
 
 @pytest.mark.compiled

@@ -49,7 +49,7 @@ def crowd(rng, plant):
     return rows
 
 
-def advanced(plant, rows, members, substeps=12, h=0.008):
+def advance(plant, rows, members, substeps=12, h=0.008):
     """The vehicles `members` (columns of `rows`) after some steps, in a block of their own."""
     batch = vehicle_batch(plant.compiled, plant.packed(), np.zeros((SLOTS, 6)))
     slots = batch.block.reshape(PLANT_STATES + PLANT_INPUTS, SLOTS)
@@ -68,12 +68,12 @@ def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law,
     car = plant(CAR, LAWS[law], ROAD)
     rows = crowd(rng, car)
     members = rng.permutation(SLOTS)[:size]
-    together = advanced(car, rows, members)
+    together = advance(car, rows, members)
     assert np.isfinite(together[:PLANT_STATES]).all()
     for slot in rng.permutation(size)[:4]:
-        alone = advanced(car, rows, members[slot : slot + 1])[:, 0]
+        alone = advance(car, rows, members[slot : slot + 1])[:, 0]
         assert np.array_equal(alone, together[:, slot], equal_nan=True)
-    other_order = advanced(car, rows, members[::-1])[:, ::-1]
+    other_order = advance(car, rows, members[::-1])[:, ::-1]
     assert np.array_equal(other_order, together, equal_nan=True)
 
 
@@ -94,11 +94,11 @@ def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
 def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
     car = plant(CAR, LAWS[law])
     written = reference.dual_track if plant is DualTrack else reference.single_track
-    own, h = len(car.state_names), 0.005
+    count, h = len(car.state_names), 0.005
     rows = crowd(rng, car)
-    after = advanced(car, rows, np.arange(6), substeps=1, h=h)
+    after = advance(car, rows, np.arange(6), substeps=1, h=h)
     for slot in range(6):
-        x, u, environment = rows[:own, slot], rows[13:15, slot], rows[16:, slot]
+        x, u, environment = rows[:count, slot], rows[13:15, slot], rows[16:, slot]
         acceleration = None if np.isnan(rows[15, slot]) else rows[15, slot]
 
         def f(x, u=u, environment=environment, acceleration=acceleration):
@@ -108,16 +108,16 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
         k2 = f(x + h / 2 * k1)
         k3 = f(x + h / 2 * k2)
         k4 = f(x + h * k3)
-        np.testing.assert_allclose(after[:own, slot], x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(after[:count, slot], x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), rtol=1e-11, atol=1e-11)
 
 
 # -- a user's plant ---------------------------------------------------------------------------------------------------
 
 
-def custom_ride(function, parameters, steering, start, inputs, substeps, h, own=6):
+def custom_ride(function, parameters, steering, start, inputs, substeps, h, count=6):
     """A block's first slot (STATES + INPUTS,) and the plant's own states after a ride of a user's plant."""
     packed = np.array([steering.lag, steering.rate, steering.limit, *parameters])
-    batch = vehicle_batch(compile_plant(function), packed, np.zeros((SLOTS, own)))
+    batch = vehicle_batch(compile_plant(function), packed, np.zeros((SLOTS, count)))
     rows = batch.block.reshape(-1, SLOTS)
     rows[:6], rows[PLANT_STATES:] = start[:6, None], inputs[:, None]
     batch.states[:, :6] = start[:6]
@@ -139,8 +139,8 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind, 0.0])
     _, states = custom_ride(pendulum_beside_the_car, (omega,), SteeringActuator.ideal(), start, inputs, 200, 0.005, 8)
-    rest = (command + wind) / omega**2
-    assert states[0, 6] == pytest.approx(rest * (1 - np.cos(omega * 1.0)), rel=1e-7)
+    equilibrium = (command + wind) / omega**2
+    assert states[0, 6] == pytest.approx(equilibrium * (1 - np.cos(omega * 1.0)), rel=1e-7)
     assert states[0, 0] == pytest.approx(10.0, rel=1e-12)
     assert np.array_equal(states[0], states[2])  # the third of three slots
     assert (states[3:, 6:] == 0.0).all()  # nobody asked for the fourth
@@ -154,11 +154,11 @@ def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steeri
     rows = batch.block.reshape(PLANT_STATES + PLANT_INPUTS, SLOTS)
     rows[:] = crowd(rng, car)
     for slot in (0, 5, SLOTS - 1):
-        seen, slope = np.full(2, np.nan), np.full(PLANT_STATES, np.nan)
-        car.compiled.observe(batch.member, batch.parameters, batch.block, batch.states, batch.work, slot, seen)
+        angle, slope = np.full(2, np.nan), np.full(PLANT_STATES, np.nan)
+        car.compiled.observe(batch.member, batch.parameters, batch.block, batch.states, batch.work, slot, angle)
         x, u = rows[:PLANT_STATES, slot].copy(), rows[PLANT_STATES:, slot].copy()
         car.compiled.right_hand_side(x, u, car.packed(), slope)
-        assert seen[0] == slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - u[PLANT_INPUT.bank]
-        assert seen[1] == (
+        assert angle[0] == slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - u[PLANT_INPUT.bank]
+        assert angle[1] == (
             x[PLANT_STATE.steering] if steering is ROAD else np.clip(u[PLANT_INPUT.command], -np.pi / 2, np.pi / 2)
         )

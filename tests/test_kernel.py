@@ -10,67 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import published_mpc
 from adaptrack.core import library
-from adaptrack.core.kernel import (
-    INTERPRETED,
-    Array,
-    Field,
-    Resident,
-    Row,
-    copier,
-    defaults,
-    exported,
-    float64,
-    inlined,
-    local,
-    packer,
-    record,
-    size_of,
-    stepper,
-    unpacker,
-    vector,
-    viewer,
-    void,
-)
+from adaptrack.core.kernel import INTERPRETED, Field, copier, defaults, record, size_of, vector, void
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road
 from inlined import entry
 
-INNER = record("INNER", ("x", "y"))
-OUTER = record("OUTER", ["a", ("inner", INNER), ("row", (float64, 3)), ("square", (float64, 2, 2)), "b"])
-outer_at, square = viewer(OUTER), local(2, 2)
 needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
-
-
-def leaves(record):
-    """(type, value) of every field of a nested record."""
-    for kind, value in zip(record.kinds.values(), record, strict=True):
-        yield from leaves(value) if isinstance(value, tuple) else [(kind, value)]
-
-
-@needs_compiled
-def test_the_words_of_a_record_are_where_its_arrays_lie_and_their_sizes():
-    mpc = published_mpc(load_vehicle("paper"))
-    record = mpc.batch(3, mpc.settings())
-    words = []
-    for kind, value in leaves(record):
-        if isinstance(kind, Array):
-            words += [value.ctypes.data, *value.shape]
-        else:
-            words.append(int(np.array(value, kind.name).view(np.int64)))
-    assert Resident(record).words.tolist() == words
-
-
-@needs_compiled
-def test_a_record_is_written_where_it_is_read():
-    pair = record("Pair", ("a", "b"))
-    read, write, along = unpacker(pair, 4), packer(pair, 4), stepper(pair)
-    values = np.arange(8.0)
-    write(values, 1, along(read(values, 1), 2.0, pair(10.0, 100.0)))
-    assert values.tolist() == [0.0, 21.0, 2.0, 3.0, 4.0, 205.0, 6.0, 7.0]
 
 
 def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
@@ -94,7 +41,7 @@ def test_an_exported_kernel_answers_as_its_python_does():
 
 @needs_compiled
 @pytest.mark.parametrize(
-    ("wrong", "why"),
+    ("arguments", "why"),
     [
         (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
         (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
@@ -102,9 +49,9 @@ def test_an_exported_kernel_answers_as_its_python_does():
         ([0.0, 1.0], "need an array"),
     ],
 )
-def test_an_array_that_is_not_what_a_kernel_takes_is_refused(wrong, why):
+def test_an_array_that_is_not_what_a_kernel_takes_is_refused(arguments, why):
     with pytest.raises(TypeError, match=why):
-        vector.convert(wrong)
+        vector.given(arguments)
 
 
 @needs_compiled
@@ -115,70 +62,11 @@ def test_a_member_that_raises_leaves_nothing_that_counts():
         if a[0] > 0.0:
             raise ValueError("no")
 
-    made, out = member(own, void(vector, vector)), np.zeros(2)
-    made(np.array([-1.0]), out)
+    function, out = member(own, void(vector, vector)), np.zeros(2)
+    function(np.array([-1.0]), out)
     assert out.tolist() == [1.0, 0.0]
-    made(np.array([1.0]), out)
+    function(np.array([1.0]), out)
     assert np.isnan(out).all()
-
-
-# -- parts of vectors, and small arrays -------------------------------------------------------------------------------
-@inlined
-def written_by_name(values):
-    """Write every field of the record that lies at place 2."""
-    m = outer_at(values, 2)
-    m.a, m.inner.x, m.inner.y, m.b = 1.0, 2.0, 3.0, 11.0
-    for i in range(3):
-        m.row[i] = 4.0 + i
-    for i in range(2):
-        for j in range(2):
-            m.square[i, j] = 7.0 + 2 * i + j
-    return m.square[1, 0] + m.inner.y
-
-
-@exported(float64(Row(INNER), vector), name="test_sum_of_a_row")
-def sum_of_a_row(inner, values):
-    return inner.x + inner.y + values[0]
-
-
-@inlined
-def handed_on(values):
-    """Fields of a record as arguments of an exported kernel."""
-    m = outer_at(values, 2)
-    return sum_of_a_row(m.inner, m.row)
-
-
-@inlined
-def filled(x):
-    """The sum of a small array, filled anew at each of three rounds."""
-    total = 0.0
-    for _ in range(3):
-        z = square()
-        for i in range(2):
-            total += z[0, i] + z[1, i]  # zero, whatever the round before has left
-            z[1, i] = x
-        total += z[1, 0] + z[1, 1] + z[0, 0]
-    return total
-
-
-def test_the_parts_of_a_vector_are_read_and_written_by_name():
-    values = np.zeros(16)
-    assert entry(written_by_name)(values) == 12.0
-    assert size_of(OUTER) == 11
-    assert values.tolist() == [0.0, 0.0, *range(1, 12), 0.0, 0.0, 0.0]
-    m = outer_at(values, 2)
-    assert (m.a, m.inner.x, m.row.tolist(), m.square.tolist()) == (1.0, 2.0, [4.0, 5.0, 6.0], [[7.0, 8.0], [9.0, 10.0]])
-    m.inner.x, m.row[1] = -1.0, -2.0
-    assert (values[3], values[6]) == (-1.0, -2.0)
-
-
-def test_the_parts_of_a_vector_are_arguments_as_any_other():
-    values = np.arange(16.0)
-    assert entry(handed_on)(values) == sum_of_a_row(outer_at(values, 2).inner, outer_at(values, 2).row) == 12.0
-
-
-def test_a_small_array_is_zero_at_each_call():
-    assert entry(filled)(5.0) == 30.0
 
 
 # -- the library ------------------------------------------------------------------------------------------------------
@@ -211,28 +99,22 @@ def test_a_library_that_is_not_what_was_built_is_never_loaded(built, harm):
     assert path.name in why
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"libraries": 3}', '{"libraries": {}}'])
-def test_a_manifest_that_is_none_is_said(built, text):
-    (built / library.MANIFEST).write_text(text)
-    assert library.MANIFEST in library.loaded.__wrapped__()
-
-
 @pytest.mark.parametrize(
-    ("file", "stale", "good"),
+    ("file", "stale", "is_current"),
     [
         ("core/controllers/stanley.py", {"stanley"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
         ("core/controllers/predicted_path.py", {"kinematic_mpc", "preview_lqr"}, {"stanley", "lqr", "mpc_step"}),
         ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"stanley", "preview_lqr", "lqr"}),
     ],
 )
-def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, good):
+def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, is_current):
     if not isinstance(library.loaded(), library.Library) or library.loaded().edited:
         pytest.skip("needs the library of these sources")
     edited = library.source_hashes() | {file: "of another text"}
     monkeypatch.setattr(library, "source_hashes", lambda: edited)
-    found = library.Library()
-    assert all(file in found.why_not(name) for name in stale)
-    assert not any(found.why_not(name) for name in good)
+    loaded = library.Library()
+    assert all(file in loaded.why_not(name) for name in stale)
+    assert not any(loaded.why_not(name) for name in is_current)
 
 
 def test_without_numba_a_missing_library_is_refused_with_the_command(monkeypatch):
@@ -244,11 +126,11 @@ def test_without_numba_a_missing_library_is_refused_with_the_command(monkeypatch
 
 def test_an_unknown_way_to_run_kernels_is_refused():
     code = "import adaptrack.core.kernel"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], env={"ADAPTRACK_KERNELS": "fast", "PATH": ""}, capture_output=True, text=True
     )
-    assert done.returncode != 0
-    assert "ADAPTRACK_KERNELS=fast: need one of library, jit, interpreted." in done.stderr
+    assert process.returncode != 0
+    assert "ADAPTRACK_KERNELS=fast: need one of library, jit, interpreted." in process.stderr
 
 
 def test_a_step_loads_no_compiler():
@@ -266,13 +148,12 @@ C_PROGRAM = r"""
 #include <stdio.h>
 #include "adaptrack.h"
 int main(void) {{
-    printf("%zu %zu %zu %d\n", sizeof(struct adaptrack_controllers_mpc_Mpc),
-           sizeof(struct adaptrack_road_RoadAheadRecord), sizeof(struct adaptrack_controllers_mpc_MPCSettings),
-           ADAPTRACK_PLANTS_CONTRACT_PLANT_STATE_VX);
+    printf("%zu %zu %zu %d\n", sizeof(struct adaptrack_controllers_mpc_Mpc), sizeof(struct adaptrack_road_RoadAhead),
+           sizeof(struct adaptrack_controllers_mpc_Settings), ADAPTRACK_PLANTS_CONTRACT_STATE_VX);
     double values[{count}] = {{ {values} }};
     double least = adaptrack_place_between(values[0], values[1], 0.0, 0.25);
     struct adaptrack_road_Centreline line = {{0}};
-    struct adaptrack_road_RoadAheadRecord ahead = {{.line = line, .station = 3.0}};
+    struct adaptrack_road_RoadAhead ahead = {{.line = line, .station = 3.0}};
     printf("%a %f\n", least, ahead.station);
     return 0;
 }}
@@ -289,14 +170,14 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
 
     low, high = 0.1, 0.7
     (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))
-    given = ["-std=c11", "-Wall", "-Wextra", "-Werror", "main.c", str(of_this_processor(built)), "-lm", "-o", "program"]
-    subprocess.run(["gcc", *given], cwd=tmp_path, check=True)
-    done = subprocess.run(
+    command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-o", "program", "main.c"]
+    subprocess.run([*command, str(of_this_processor(built)), "-lm"], cwd=tmp_path, check=True)
+    process = subprocess.run(
         ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
     )
-    *sizes, place, answer, station = done.stdout.split()
+    *sizes, place, answer, station = process.stdout.split()
     expected = [8 * words(Mpc), 8 * words(RoadAheadRecord), 8 * words(MPCSettings), PLANT_STATE.vx]
-    assert [int(each) for each in [*sizes, place]] == expected
+    assert [int(word) for word in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)
     assert float(station) == 3.0
 
@@ -304,4 +185,4 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
 def words(kind):
     """How many words of 8 bytes a record takes."""
     kinds = kind.kinds.values()
-    return sum(words(each) if hasattr(each, "kinds") else 1 + getattr(each, "ndim", 0) for each in kinds)
+    return sum(words(kind) if hasattr(kind, "kinds") else 1 + getattr(kind, "ndim", 0) for kind in kinds)

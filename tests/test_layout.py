@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.core import layout, period, rollout
+from adaptrack.core import layout, rollout
 from adaptrack.core.controllers import mpc
 from adaptrack.core.kernel import Array
 from adaptrack.drive.batch import Batch
@@ -43,26 +43,26 @@ def arrays(record):
 
 def counts_of(run):
     """What the sizes follow from, as a program has it that knows only how many numbers there are."""
-    loop, own, law, plan = run, run.mpc, run.law, run.schedule
-    turning = own.feed.turning
+    loop, controller, law, plan = run, run.mpc, run.law, run.schedule
+    turning = controller.feed.turning
     (row,) = rollout.RunCounts.new(1, tuning=run.tuning.shape[1])
-    given = loop.given
+    inputs = loop.given
     for name, value in {
         "slots": len(run.tuning), "parameters": loop.vehicles.parameters.size, "states": loop.vehicles.start.shape[1],
-        "scenarios": len(given.scenario) and given.signals.shape[0], "samples": given.signals.shape[2],
-        "roads": len(given.roads.numbers), "starts": given.roads.start.size, "pieces": len(given.roads.pieces),
-        "headings": given.roads.headings.size, "perceiving": loop.perceiving.parameters.size,
+        "scenarios": len(inputs.scenario) and inputs.signals.shape[0], "samples": inputs.signals.shape[2],
+        "roads": len(inputs.roads.numbers), "starts": inputs.roads.start.size, "pieces": len(inputs.roads.pieces),
+        "headings": inputs.roads.headings.size, "perceiving": loop.perceiving.parameters.size,
         "perceiving_settings": loop.perceiving.settings.size, "dead_whole": loop.settings.dead_whole,
         "past": loop.memory.past.shape[1], "segments": loop.segments.shape[1], "traced": loop.trace.state.shape[1],
         "answers": loop.trace.answer.shape[2],
     }.items():  # fmt: skip
         row.loop[name] = value
     for name, value in {
-        "slots": len(run.tuning), "states": own.states.size, "parameters": own.parameters.size,
+        "slots": len(run.tuning), "states": controller.states.size, "parameters": controller.parameters.size,
         "turning": turning.size, "lag": mpc.turning_of(turning, 0).lag if turning.size else 0.0,
-        "estimator": own.informed.estimator.size, "estimates": own.informed.estimates.shape[1],
-        "learner": own.informed.learner.size, "learned": own.informed.fresh.size,
-        "curved": len(given.roads.numbers) > 0 and not run.features.law,
+        "estimator": controller.informed.estimator.size, "estimates": controller.informed.estimates.shape[1],
+        "learner": controller.informed.learner.size, "learned": controller.informed.fresh.size,
+        "curved": len(inputs.roads.numbers) > 0 and not run.features.law,
     }.items():  # fmt: skip
         row.mpc[name] = value
     row.law, row.law_parameters, row.law_memory = run.features.law, law.parameters.size, law.memory.shape[1]
@@ -87,20 +87,5 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
         assert tuple(row[: laid.ndim]) == laid.shape
         assert not any(row[laid.ndim :])
     assert settings.tolist() == tuple(run.mpc.settings)
-    assert all(each.ctypes.data % layout.ALIGNMENT == 0 for each in arrays(run.mpc.ws))
+    assert all(array.ctypes.data % layout.ALIGNMENT == 0 for array in arrays(run.mpc.ws))
     assert run.measured is run.mpc.measured
-
-
-def test_a_memory_of_an_mpc_that_is_prepared_again_is_as_before():
-    own = at.MPC(CAR, profile="road", learning=at.Learning()).batch(2, at.MPC(CAR, profile="road").settings())
-    before = [each.copy() for each in arrays(own)]
-    own.memory["speed"], own.informed.learned[:] = 3.0, -1.0
-    own.ws.rows[:], own.model.c[:] = 7.0, 0.5
-    own.ws.rows[..., 4 * int(own.settings.most_moves) :] = 0.0
-    mpc.prepare(own)
-    assert all(one.tobytes() == other.tobytes() for one, other in zip(before, arrays(own), strict=True))
-
-
-def test_a_record_whose_sizes_are_not_all_written_is_refused():
-    with pytest.raises(AssertionError, match="not every array"):
-        layout.room(period.Trace, lambda table, row: layout.put(table, row, 3))

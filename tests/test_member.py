@@ -22,47 +22,35 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
 from programs import find_program
+from small_cars import PARAMETERS, linear_car
 
 pytestmark = pytest.mark.skipif(INTERPRETED, reason="interpreted kernels call functions of one's own as they are")
 
 CAR = load_vehicle("midsize-sedan")
-NUMBERS = {"mass": 1575.0, "inertia": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 38e3, "cr": 66e3}
 C_PLANT = """
 #include <math.h>
 #include <stdint.h>
 void right_hand_side(const double *x, int64_t nx, const double *u, int64_t nu, const double *environment, int64_t ne,
                      const double *p, int64_t np, double *dx, int64_t ndx) {
     double v = x[3] > 1.0 ? x[3] : 1.0;
-    double front = p[4] * (u[0] - (x[4] + p[2] * x[5]) / v), rear = -p[5] * (x[4] - p[3] * x[5]) / v;
+    double front = 2.0 * p[4] * environment[0] * (u[0] - (x[4] + p[2] * x[5]) / v);
+    double rear = -2.0 * p[5] * environment[2] * (x[4] - p[3] * x[5]) / v;
     dx[0] = x[3] * cos(x[2]) - x[4] * sin(x[2]);
     dx[1] = x[3] * sin(x[2]) + x[4] * cos(x[2]);
     dx[2] = x[5];
-    dx[3] = u[1] / p[0];
-    dx[4] = (front + rear) / p[0] - x[3] * x[5];
+    dx[3] = u[1] / p[0] + x[4] * x[5];
+    dx[4] = (front + rear + p[6] * environment[5]) / p[0] - x[3] * x[5];
     dx[5] = (p[2] * front - p[3] * rear) / p[1];
 }
 """
 
 
-def right_hand_side(x, u, environment, p, dx):
-    mass, inertia, lf, lr, cf, cr = p[0], p[1], p[2], p[3], p[4], p[5]
-    v = max(x[3], 1.0)
-    front = cf * (u[0] - (x[4] + lf * x[5]) / v)
-    rear = -cr * (x[4] - lr * x[5]) / v
-    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
-    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
-    dx[2] = x[5]
-    dx[3] = u[1] / mass
-    dx[4] = (front + rear) / mass - x[3] * x[5]
-    dx[5] = (lf * front - lr * rear) / inertia
-
-
 def law(situation, reference, road, tuning, parameters, memory, answer):
     """Offset and heading, with a memory; the road is looked at."""
     memory[0] = 0.9 * memory[0] + 0.1 * (situation[3] - reference[0])
-    wanted = -0.05 * (situation[3] - reference[0]) - 0.4 * situation[1] - 0.01 * memory[0] + 0.0 * road.station
+    command = -0.05 * (situation[3] - reference[0]) - 0.4 * situation[1] - 0.01 * memory[0] + 0.0 * road.station
     least, most = situation[5] + parameters[1], situation[5] + parameters[2]
-    answer[0] = min(max(wanted, least), most)
+    answer[0] = min(max(command, least), most)
 
 
 def path_of(plant, controller=None):
@@ -85,27 +73,27 @@ def compiled():
     """Where the compiled plant goes."""
     if not library.can_compile():
         pytest.skip("needs numba")
-    return path_of(UserPlant(right_hand_side, NUMBERS, mass=1575.0))
+    return path_of(UserPlant(linear_car, PARAMETERS, mass=1575.0))
 
 
 def test_a_plant_that_is_called_back_drives_as_the_compiled_one(compiled, no_compiler):
-    assert path_of(UserPlant(right_hand_side, NUMBERS, mass=1575.0)) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
+    assert path_of(UserPlant(linear_car, PARAMETERS, mass=1575.0)) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
 
 
 def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypatch):
-    plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
+    plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
     ours = path_of(plant, UserController(law, memory_size=1))
     monkeypatch.setattr(library, "can_compile", lambda: False)
-    found = member(law, void(vector, vector, RoadAheadRecord, vector, vector, vector, vector))
-    assert found.calls_python
+    function = member(law, void(vector, vector, RoadAheadRecord, vector, vector, vector, vector))
+    assert function.calls_python
     theirs = UserController(law, memory_size=1)
-    theirs._compiled = found
+    theirs._compiled = function
     assert path_of(plant, theirs) == pytest.approx(ours, rel=1e-9, abs=1e-12)
 
 
 def test_many_runs_ask_for_a_compiler_by_its_command(no_compiler):
-    plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
-    with pytest.raises(MissingExtra, match=r"right_hand_side: .*pip install 'adaptrack\[compile\]'"):
+    plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
+    with pytest.raises(MissingExtra, match=r"linear_car: .*pip install 'adaptrack\[compile\]'"):
         rollout_batch(plant, MPC(CAR, profile="road"), load_scenario("lane-change"))
 
 
@@ -114,21 +102,21 @@ def test_what_is_raised_in_a_function_that_is_called_back_is_said_once_and_nothi
         out[0] = 1.0
         raise ZeroDivisionError("in the middle")
 
-    made, out = member(fails, float64(vector, vector)), np.zeros(2)
-    assert math.isnan(made(np.zeros(1), out))
-    assert math.isnan(made(np.zeros(1), out))
+    function, out = member(fails, float64(vector, vector)), np.zeros(2)
+    assert math.isnan(function(np.zeros(1), out))
+    assert math.isnan(function(np.zeros(1), out))
     assert np.isnan(out).all()
-    assert [each.message for each in caplog.records] == ["adaptrack: fails raised ZeroDivisionError('in the middle')"]
+    assert [entry.message for entry in caplog.records] == ["adaptrack: fails raised ZeroDivisionError('in the middle')"]
 
 
 def test_ctrl_c_in_a_function_that_is_called_back_is_heard(no_compiler):
     def interrupted(a, out):
         raise KeyboardInterrupt
 
-    made = member(interrupted, void(vector, vector))
+    function = member(interrupted, void(vector, vector))
 
     def call_and_go_on():
-        made(np.zeros(1), np.zeros(1))
+        function(np.zeros(1), np.zeros(1))
         time.sleep(30.0)
 
     with pytest.raises(KeyboardInterrupt):
@@ -140,10 +128,10 @@ def test_a_plant_in_c_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled):
     command = [find_program("gcc"), "-O2", "-shared", "-fPIC", "-lm", "plant.c", "-o", "plant.so"]
     subprocess.run(command, cwd=tmp_path, check=True)
     function = CFunction(str(tmp_path / "plant.so"), "right_hand_side")
-    plant = UserPlant(pickle.loads(pickle.dumps(function)), NUMBERS, mass=1575.0)
+    plant = UserPlant(pickle.loads(pickle.dumps(function)), PARAMETERS, mass=1575.0)
     assert path_of(plant) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
-    found = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
-    assert not found.failed[0]
+    runs = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
+    assert not runs.failed[0]
 
 
 def test_a_function_that_is_not_in_its_library_is_refused_where_it_is_named():

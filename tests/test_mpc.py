@@ -9,9 +9,9 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import Limits, Moves, Scheduler, Tuning, published_mpc
+from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
 from adaptrack.control.models import SingleTrackModel, limit_bounds, limit_matrix
-from adaptrack.control.qp import QPStatus, get_qp_solver
+from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.controllers import mpc as kernel
 from references import mpc as reference
@@ -37,8 +37,8 @@ def basis(moves, Np, Nc):
 
 def transfer(mpc, to):
     """Give a controller what another one remembers: its last state, angle and that it has started."""
-    theirs, own = mpc._mpc.memory[0], to._mpc.memory[0]
-    own.started, own.command = theirs.started, theirs.command
+    theirs, target = mpc._mpc.memory[0], to._mpc.memory[0]
+    target.started, target.command = theirs.started, theirs.command
     to._mpc.previous[:] = mpc._mpc.previous
     return to
 
@@ -52,13 +52,13 @@ def test_without_limits_a_step_is_the_least_squares_solution(moves, preview, car
         Np = int(rng.integers(5, 40))
         tuning = Tuning(Np, int(rng.integers(1, min(Np, 12) + 1)), 10 ** rng.uniform(0, 1), 10 ** rng.uniform(-1, 2))
         mpc = published_mpc(car, tuning, limits=WIDE, moves=moves, preview=preview)
-        before, now = wild_state(rng), wild_state(rng)
+        before, current = wild_state(rng), wild_state(rng)
         mpc.step(before, 12.0, [0.0])
         ahead, speed = rng.normal(size=60), rng.uniform(3, 30)
-        command = mpc.step(now, speed, ahead)
+        command = mpc.step(current, speed, ahead)
         target = ahead[1 : Np + 1] if preview else np.full(Np, ahead[0])
         expected = reference.unconstrained_move(
-            car, speed, 0.1, before, now, target, tuning.Q, tuning.R, basis(moves, Np, tuning.Nc)
+            car, speed, 0.1, before, current, target, tuning.Q, tuning.R, basis(moves, Np, tuning.Nc)
         )
         assert command.status is QPStatus.SOLVED
         assert command.move == pytest.approx(expected, rel=1e-7, abs=1e-9)
@@ -79,21 +79,15 @@ def test_the_qp_is_that_of_eq_17(period, rng):
     mpc = published_mpc(CAR, period=period)
     model = SingleTrackModel(CAR, period)
     for _ in range(20):
-        before, now, speed = wild_state(rng), wild_state(rng), rng.uniform(1, 40)
+        before, current, speed = wild_state(rng), wild_state(rng), rng.uniform(1, 40)
         mpc.reset()
         mpc.step(before, speed, [0.3])
-        qp = mpc.problem(now, speed, [1.2])
-        E, K = model.quadratic(speed, np.append(now - before, now[3]), np.full(35, 1.2), 35, 8, 10.0, 0.01)
+        qp = mpc.problem(current, speed, [1.2])
+        E, K = model.quadratic(speed, np.append(current - before, current[3]), np.full(35, 1.2), 35, 8, 10.0, 0.01)
         np.testing.assert_allclose(qp.E, E, rtol=1e-10)
         np.testing.assert_allclose(qp.K, K, rtol=1e-9, atol=1e-9 * np.abs(K).max())
         assert np.array_equal(qp.M, limit_matrix(8))
         np.testing.assert_allclose(qp.gamma, limit_bounds(8, mpc.angle, mpc.limits), rtol=1e-14)
-
-
-def test_only_the_ratio_of_the_weights_matters(rng):
-    state = wild_state(rng)
-    small, large = published_mpc(CAR, Tuning(Q=0.1, R=0.02)), published_mpc(CAR, Tuning(Q=10.0, R=2.0))
-    assert small.step(state, 15.0, [1.0]).move == pytest.approx(large.step(state, 15.0, [1.0]).move, rel=1e-9)
 
 
 def test_the_model_speed_has_a_floor():
@@ -119,7 +113,7 @@ def test_with_preview_the_last_reference_is_held(rng):
 def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
     limits = Limits(move=(-0.05, 0.03), angle=(-0.2, 0.25))
     mpc = published_mpc(CAR, limits=limits, moves=moves, solver=solver)
-    angle, seen = 0.0, 0
+    angle, count = 0.0, 0
     for _ in range(60):
         command = mpc.step(wild_state(rng, 3.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
         assert command.status is QPStatus.SOLVED
@@ -128,18 +122,9 @@ def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
         assert command.angle - angle == pytest.approx(command.move, abs=1e-15)
         assert bool(command.at_limit & 1) == (command.move <= -0.05 + 1e-9 or command.move >= 0.03 - 1e-9)
         assert bool(command.at_limit & 2) == (command.angle <= -0.2 + 1e-9 or command.angle >= 0.25 - 1e-9)
-        angle, seen = command.angle, seen | command.at_limit
+        angle, count = command.angle, count | command.at_limit
         assert mpc.angle == angle
-    assert seen == 3
-
-
-@every_parametrisation
-def test_soft_output_limits_always_leave_a_solution(moves, rng):
-    mpc = published_mpc(CAR, limits=Limits(output=(-0.5, 0.5)), moves=moves)
-    for _ in range(40):
-        command = mpc.step(wild_state(rng, 4.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
-        assert command.status is QPStatus.SOLVED
-        assert not command.held
+    assert count == 3
 
 
 @every_parametrisation
@@ -147,13 +132,13 @@ def test_an_output_limit_is_violated_only_as_far_as_it_must(moves):
     limits = Limits(output=(-math.inf, 0.6))
     mpc = published_mpc(CAR, Tuning(30, 8, 1.0, 0.1), limits=limits, moves=moves)
     a, b = reference.discrete(CAR, 12.0, 0.1)
-    x, seen, path = np.zeros(4), 0, []
+    x, count, path = np.zeros(4), 0, []
     for _ in range(80):
         command = mpc.step(x, 12.0, [1.0])
-        seen |= command.at_limit
+        count |= command.at_limit
         x = a @ x + b * command.angle
         path.append(x[3])
-    assert seen & 4
+    assert count & 4
     assert 0.59 < path[-1] < 0.605
     assert max(path) < 0.63
     # far outside, the weight leaves only one way: back
@@ -211,43 +196,17 @@ def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output,
         assert command.move == pytest.approx(expected.move, rel=1e-8, abs=1e-9)
 
 
-@every_parametrisation
-def test_at_rest_on_the_reference_no_change_of_tuning_moves_the_steering(moves, rng):
-    tunings = [(int(Np), int(Nc), 10.0, 0.01) for Np, Nc in rng.integers(1, 40, (20, 2))]
-    mpc = published_mpc(CAR, moves=moves, scheduler=Playlist(tunings))
-    for _ in tunings:
-        command = mpc.step([0, 0, 0, 1.7], rng.uniform(1, 30), [1.7], HERE)
-        assert command.move == 0.0
-        assert command.status is QPStatus.SOLVED
-
-
 @pytest.mark.parametrize(
-    ("asked", "used"),
-    [
-        ((35.0, 8.0), (35, 8)),
-        ((34.5, 8.2), (35, 8)),
-        ((34.49, 7.5), (34, 8)),
-        ((10.0, 14.0), (10, 10)),
-        ((1e12, 1e12), (60, 20)),
-        ((0.2, 0.2), (1, 1)),
-        ((-7.0, 3.0), (1, 1)),
-        ((60.4, 19.6), (60, 20)),
-    ],
-)
-def test_real_valued_horizons_are_rounded_and_clamped(asked, used):
-    mpc = published_mpc(CAR, scheduler=lambda variables: (*asked, 10.0, 0.01))
+    ("horizons", "used"),
+    [((34.5, 8.2), (35, 8)), ((34.49, 7.5), (34, 8)), ((10.0, 14.0), (10, 10)), ((1e12, 1e12), (60, 20)),
+     ((0.2, 0.2), (1, 1)), ((-7.0, 3.0), (1, 1)), ((60.4, 19.6), (60, 20))],
+)  # fmt: skip
+def test_real_valued_horizons_are_rounded_and_clamped(horizons, used):
+    mpc = published_mpc(CAR, scheduler=lambda variables: (*horizons, 10.0, 0.01))
     command = mpc.step(REST, 15.0, [0.2], HERE)
     assert command.tuning == (*used, 10.0, 0.01)
     plain = published_mpc(CAR, Tuning(*used, 10.0, 0.01)).step(REST, 15.0, [0.2])
     assert command.move == pytest.approx(plain.move, rel=1e-9)
-
-
-def test_a_scheduler_is_given_its_variables_and_may_answer_with_a_tuning():
-    schedule = Playlist([Tuning(20, 4, 2.0, 0.5)])
-    assert isinstance(schedule, Scheduler)
-    command = published_mpc(CAR, scheduler=schedule).step(REST, 15.0, [0.1], HERE)
-    assert schedule.seen == [HERE]
-    assert command.tuning == (20, 4, 2.0, 0.5)
 
 
 @pytest.mark.parametrize("weights", [(-1.0, 0.01), (10.0, 0.0), (10.0, -1.0)])
@@ -270,35 +229,17 @@ def raising(variables):
     ids=lambda answer: str(answer)[:20],
 )  # fmt: skip
 def test_a_scheduler_that_fails_keeps_the_tuning_before_is_counted_and_said_once(answer, caplog):
-    own = Tuning(20, 4, 2.0, 0.5)
+    tuning = Tuning(20, 4, 2.0, 0.5)
     scheduler = answer if callable(answer) else lambda variables: answer
-    mpc, plain = published_mpc(CAR, own, scheduler=scheduler), published_mpc(CAR, own)
+    mpc, plain = published_mpc(CAR, tuning, scheduler=scheduler), published_mpc(CAR, tuning)
     for steps in (1, 2, 3):
         command = mpc.step(REST, 15.0, [0.1], HERE)
-        assert (command.tuning, command.move) == (dataclasses.astuple(own), plain.step(REST, 15.0, [0.1]).move)
+        assert (command.tuning, command.move) == (dataclasses.astuple(tuning), plain.step(REST, 15.0, [0.1]).move)
         assert mpc.scheduler_counts == {"raised": steps}
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "the scheduler failed" in caplog.text
     mpc.reset()
     assert mpc.scheduler_counts == {"raised": 0}
-
-
-# -- solvers ----------------------------------------------------------------------------------------------------------
-FAR = np.array([0.0, 0.0, 0.0, 4.0])  # metres off the path: every move at its limit, Hildreth does not converge
-
-
-@every_parametrisation
-def test_hildreth_uncertified_may_be_applied_within_the_limits_and_says_so(moves):
-    mpc = published_mpc(CAR, moves=moves, solver=get_qp_solver("hildreth", on_uncertified="apply"))
-    capped = 0
-    for _ in range(5):
-        command = mpc.step(FAR, 25.0, [0.0])
-        assert not command.held
-        assert abs(command.move) <= math.pi / 12 + 1e-15
-        assert abs(command.angle) <= math.pi / 6
-        assert command.residual < 1e-6 or command.status is QPStatus.CAPPED
-        capped += command.status is QPStatus.CAPPED
-    assert capped > 0
 
 
 # -- bad arguments ----------------------------------------------------------------------------------------------------
@@ -353,22 +294,13 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
                 )
                 speed = rng.uniform(3, 25)
             state, ahead = wild_state(rng, 0.6), rng.normal(size=1)
-            for one in (fresh, used):
-                one.measured[:4] = state
-                step(MPCStep(one, mpc.functions, np.array([speed, ahead.size]), ahead, tuning))
+            for workspace in (fresh, used):
+                workspace.measured[:4] = state
+                step(MPCStep(workspace, mpc.functions, np.array([speed, ahead.size]), ahead, tuning))
             assert np.array_equal(fresh.answer, used.answer, equal_nan=True)
 
 
 # -- memory -----------------------------------------------------------------------------------------------------------
-def test_after_a_reset_a_controller_answers_as_a_new_one(rng):
-    mpc = published_mpc(CAR)
-    for _ in range(4):
-        mpc.step(wild_state(rng, 0.2), 15.0, rng.normal(size=1))
-    assert mpc.angle != 0.0
-    mpc.reset()
-    assert mpc.angle == 0.0
-    state = wild_state(rng, 0.2)
-    assert mpc.step(state, 15.0, [0.4]) == published_mpc(CAR).step(state, 15.0, [0.4])
 
 
 def test_a_controller_describes_itself():

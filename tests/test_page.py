@@ -14,8 +14,8 @@ from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
-from browsers import BROWSERS, Chromium
-from pages import READY, STATE, differing, drive, exported, served
+from browsers import BROWSERS
+from pages import READY, STATE, differing, drive, export_page, open_page, serve
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
@@ -24,36 +24,14 @@ pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """The file."""
-    return exported(tmp_path_factory.mktemp("page"))
+    return export_page(tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
-def opened(request, page):
-    """The page, open in a browser, and paused."""
+def browser_window(request):
     find_program(request.param)
-    with BROWSERS[request.param]() as shown:
-        shown.open(page.as_uri())
-        shown.wait(READY)
-        shown.run("adaptrackPage.pause()")
-        yield shown
-
-
-@pytest.fixture(scope="module")
-def chromium(page):
-    """The page in Chromium alone."""
-    find_program("chromium")
-    with Chromium() as shown:
-        yield shown
-
-
-def fresh(shown, page, fragment="", size=(1400, 900)):
-    """The page opened anew, driving nothing."""
-    shown.resize(*size)
-    shown.open("about:blank")
-    shown.open(page.as_uri() + fragment)
-    shown.wait(READY)
-    shown.run("adaptrackPage.pause()")
-    return shown
+    with BROWSERS[request.param]() as window:
+        yield window
 
 
 # -- one file ---------------------------------------------------------------------------------------------------------
@@ -66,30 +44,30 @@ def test_the_page_is_one_file_of_at_most_three_megabytes(page):
 
 
 def test_files_of_a_script_share_no_name():
-    others = {each.name for each in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
-    for names in (others, page_file.ENGINE):
-        found = [
+    pages = {path.name for path in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    for names in (pages, page_file.ENGINE):
+        clashes = [
             name
-            for each in sorted(names)
+            for clash in sorted(names)
             for name in re.findall(
                 r"^(?:async )?(?:function\*? |class |const |let )(\w+)",
-                (page_file.PAGE_SOURCES / each).read_text(),
+                (page_file.PAGE_SOURCES / clash).read_text(),
                 re.M,
             )
         ]
-        assert sorted(name for name in set(found) if found.count(name) > 1) == []
+        assert sorted(name for name in set(clashes) if clashes.count(name) > 1) == []
 
 
 def test_scripts_of_the_page_can_be_read():
     node = find_program("node")
-    others = {each.name for each in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
-    for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(others)))):
+    pages = {path.name for path in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(pages)))):
         subprocess.run([node, "--check", "-"], input=script, text=True, check=True)
         assert "</script" not in script
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("options", "message"),
     [
         ({"road": "moutain"}, "no road 'moutain'. Did you mean 'mountain'"),
         ({"profile": "rode"}, "no profile 'rode'"),
@@ -101,9 +79,9 @@ def test_scripts_of_the_page_can_be_read():
         ({"vehicle": "paprika"}, "paprika"),
     ],
 )
-def test_what_the_page_cannot_drive_is_refused_before_it_is_written(given, said, tmp_path):
-    with pytest.raises(InvalidInput, match=re.escape(said)):
-        at.export_page(tmp_path / "drive.html", **given)
+def test_what_the_page_cannot_drive_is_refused_before_it_is_written(options, message, tmp_path):
+    with pytest.raises(InvalidInput, match=re.escape(message)):
+        at.export_page(tmp_path / "drive.html", **options)
     assert not list(tmp_path.iterdir())
 
 
@@ -115,16 +93,16 @@ def run_command(monkeypatch, capsys, *words):
 
 def test_the_command_writes_the_same_page_and_says_how_large_it_is(monkeypatch, capsys, tmp_path, page):
     out = tmp_path / "new" / "drive.html"
-    code, said, _ = run_command(monkeypatch, capsys, "--out", out, "--json")
+    code, report, _ = run_command(monkeypatch, capsys, "--out", out, "--json")
     assert code == 0
-    assert json.loads(said) == {"file": str(out), "bytes": out.stat().st_size}
+    assert json.loads(report) == {"file": str(out), "bytes": out.stat().st_size}
     assert out.read_bytes() == page.read_bytes()
 
 
 def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
-    code, _, said = run_command(monkeypatch, capsys, "--out", tmp_path)
+    code, _, message = run_command(monkeypatch, capsys, "--out", tmp_path)
     assert code == 2
-    assert "is a folder; name a file" in said
+    assert "is a folder; name a file" in message
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------
@@ -135,30 +113,29 @@ def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
 )  # fmt: skip
 def test_it_opens_and_drives_without_a_network_and_without_an_error(name, way, page):
     find_program(name)
-    with served(page.parent) as (address, paths), BROWSERS[name]() as shown:
-        shown.open(page.as_uri() if way == "disk" else f"{address}/{page.name}")
-        shown.wait(READY)
-        shown.wait(f"{STATE}.cars[0].last.station > 1")
-        assert shown.run(f"{STATE}.notice") == ""
-        assert shown.said() == []
-        assert shown.requests() == []
+    with serve(page.parent) as (address, paths), BROWSERS[name]() as window:
+        window.open(page.as_uri() if way == "disk" else f"{address}/{page.name}")
+        window.wait(READY)
+        window.wait(f"{STATE}.cars[0].last.station > 1")
+        assert window.run(f"{STATE}.notice") == ""
+        assert window.said() == []
+        assert window.requests() == []
         assert paths == ([] if way == "disk" else [f"/{page.name}"])
 
 
-def test_it_begins_with_what_it_was_exported_with(chromium, page, tmp_path):
+def test_it_begins_with_what_it_was_exported_with(browser_window, tmp_path):
     along = np.linspace(0.0, 200.0, 41)
     points = np.stack([along, 3.0 * np.sin(along / 30.0)], axis=-1)
     car = at.vehicle_from_data_sheet("own", mass=1300.0, wheelbase=2.5)
-    own = at.export_page(
+    exported_page = at.export_page(
         tmp_path / "own.html", vehicle=car, road=points, speed=12.0, profile="production",
         controllers=["learning", "stanley"], seed=3,
     )  # fmt: skip
-    fresh(chromium, own)
-    state = chromium.run(STATE)
+    state = open_page(browser_window, exported_page).run(STATE)
     assert state["notice"] == ""
     assert state["setup"]["car"]["file"]["numbers"]["mass"] == 1300.0
     assert len(state["setup"]["road"]["points"]) == 41
-    assert [each["kind"] for each in state["setup"]["controllers"]] == ["learning", "stanley"]
+    assert [controller["kind"] for controller in state["setup"]["controllers"]] == ["learning", "stanley"]
     assert (state["setup"]["speed"], state["setup"]["profile"], state["setup"]["seed"]) == (
         {"constant": 12.0}, "production", 3,
     )  # fmt: skip
@@ -171,11 +148,12 @@ FEW = "informed", "sheet"
 
 
 @pytest.mark.parametrize(
-    "name", [each if each in FEW else pytest.param(each, marks=pytest.mark.slow) for each in page_drives.SETUPS]
+    "name", [name if name in FEW else pytest.param(name, marks=pytest.mark.slow) for name in page_drives.SETUPS]
 )
-def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(opened, name):
-    expected = page_drives.driven(name)
-    found = drive(opened, page_drives.SETUPS[name], 4000)
-    assert "refused" not in found, found
-    assert [differing(car, there) for car, there in zip(found["cars"], expected, strict=True)] == [0] * len(expected)
-    assert min(len(car["numbers"]) for car in found["cars"]) > 50
+def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(browser_window, page, name):
+    expected = page_drives.drive_columns(name)
+    answer = drive(open_page(browser_window, page), page_drives.SETUPS[name], 4000)
+    assert "refused" not in answer, answer
+    for car, run in zip(answer["cars"], expected, strict=True):
+        assert len(car["numbers"]) == len(run["x"]) > 50
+        assert differing(dict(zip(car["columns"], car["numbers"].T, strict=True)), run) == {}

@@ -20,9 +20,8 @@ from adaptrack.core.plants.contract import PLANT_STATE, SLOTS
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
-from adaptrack.export.page_inputs import page_car
-from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
+from pages import differing
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
@@ -56,9 +55,9 @@ def ask(tmp_path_factory):
         folder = tmp_path_factory.mktemp("answers")
         (folder / "requests").write_text(json.dumps(messages))
         files = [str(home / name) for name in ("worker.js", "kernels.wasm", "data.json")]
-        done = subprocess.run(["node", str(DRIVER), *files, str(folder / "requests"), str(folder)],
+        process = subprocess.run(["node", str(DRIVER), *files, str(folder / "requests"), str(folder)],
                               capture_output=True, text=True, timeout=300)  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        assert process.returncode == 0, process.stderr
         return [_answer(folder, k) for k in range(len(list(folder.glob("*.json"))))]
 
     return answers
@@ -76,38 +75,28 @@ def _answer(folder, k):
     return json.loads((folder / f"{k}.json").read_text(), object_hook=typed)
 
 
-def drive(setup, periods=4000, each=700):
+def drive(setup, periods=4000, chunk=700):
     """The messages of a drive from its start on."""
     return [{"type": "start", "id": 1, "setup": setup},
-            *({"type": "advance", "id": 1, "periods": each} for _ in range(-(-periods // each)))]  # fmt: skip
+            *({"type": "advance", "id": 1, "periods": chunk} for _ in range(-(-periods // chunk)))]  # fmt: skip
 
 
 def frames(answers):
     """Of each car of a drive its frames, by the names of their columns."""
-    started = next(each for each in answers if each["type"] == "started")
-    found = []
+    started = next(answer for answer in answers if answer["type"] == "started")
+    columns = []
     for k, car in enumerate(started["cars"]):
         rows = [
-            each["cars"][k]["numbers"].reshape(-1, len(car["columns"])) for each in answers if each["type"] == "frames"
+            answer["cars"][k]["numbers"].reshape(-1, len(car["columns"]))
+            for answer in answers
+            if answer["type"] == "frames"
         ]
-        found.append(dict(zip(car["columns"], np.concatenate(rows).T, strict=True)))
-    return found
+        columns.append(dict(zip(car["columns"], np.concatenate(rows).T, strict=True)))
+    return columns
 
 
-def refused(answers):
-    return [(each["where"], each["message"]) for each in answers if each["type"] == "refused"]
-
-
-def differing(found, expected):
-    """Numbers of which a bit differs, by column; every NaN is like any other."""
-    count, wrong = len(expected["x"]), {}
-    for name, values in expected.items():
-        here = np.ascontiguousarray(found[name][:count])
-        both = np.isnan(here) & np.isnan(values)
-        bad = (here.view(np.int64) != values.view(np.int64)) & ~both if here.size == count else np.ones(1, bool)
-        if bad.any():
-            wrong[name] = int(bad.sum()), int(bad.argmax())
-    return wrong
+def refusals_of(answers):
+    return [(answer["where"], answer["message"]) for answer in answers if answer["type"] == "refused"]
 
 
 FEW = "informed", "sheet"
@@ -115,51 +104,37 @@ FEW = "informed", "sheet"
 
 
 @pytest.mark.parametrize(
-    "name", [each if each in FEW else pytest.param(each, marks=pytest.mark.slow) for each in page_drives.SETUPS]
+    "name", [name if name in FEW else pytest.param(name, marks=pytest.mark.slow) for name in page_drives.SETUPS]
 )
 def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     answers = ask(*drive(page_drives.SETUPS[name]))
-    assert refused(answers) == []
-    found, expected = frames(answers), page_drives.driven(name)
-    assert len(found) == len(expected)
-    assert [differing(here, there) for here, there in zip(found, expected, strict=True)] == [{}] * len(found)
-    assert [len(here["x"]) for here in found] == [len(there["x"]) for there in expected]
-
-
-@pytest.mark.slow
-def test_files_that_are_dropped_are_driven_as_the_package_reads_them(ask):
-    points = np.array(page_drives.WAVE["points"])
-    table = "x,y\n" + "".join(f"{x},{y}\n" for x, y in points.tolist())
-    car = at.load_vehicle("van").replace(steering=at.Steering(lag=0.2, dead_time=0.08))
-    texts = {"car file": json.dumps({"page_car": page_car(car)}), "csv": table}
-    read = ask(*({"type": "read", "id": what, "what": what, "text": text} for what, text in texts.items()))
-    assert refused(read) == []
-    given, road = read[1]["car"], {"points": read[2]["points"], "closed": False}
-    setup = page_drives._setup({"file": given}, road, {"lateral": 2.5}, "road", "informed", seed=8)
-    way = at.road_through(points)
-    drive_of = at.RoadDrive(way, at.plan_speed(way, car, Comfort(lateral=2.5)))
-    expected = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), drive_of, profile="road", seed=8)
-    (found,) = frames(ask(*drive(setup)))
-    assert differing(found, page_drives.columns_of(expected)) == {}
+    assert refusals_of(answers) == []
+    cars, expected = frames(answers), page_drives.drive_columns(name)
+    assert len(cars) == len(expected)
+    assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
+    assert [len(car["x"]) for car in cars] == [len(there["x"]) for there in expected]
 
 
 # -- what is touched while it drives ----------------------------------------------------------------------------------
 TOUCHED = page_drives._setup(page_drives.SEDAN, {"name": "mountain"}, {"lateral": 2.5}, "road", "informed", seed=5)
 
 
-def changed(what, car=None):
-    return {"type": "change", "id": 1, "car": car, "what": what}
+def change_message(change, car=None):
+    return {"type": "change", "id": 1, "car": car, "what": change}
 
 
-def advanced(periods):
+def advance_message(periods):
     return {"type": "advance", "id": 1, "periods": periods}
 
 
 def by_python(before, touch, after):
     """States of `TOUCHED` driven by the package's kernels, with a touch of its run between two stretches."""
     car, profile = page_setup.car_of(TOUCHED["car"]), load_profile("road")
-    driven, made = page_setup.drive_of(TOUCHED, car), page_setup.controller_of(TOUCHED["controllers"][0], car, profile)
-    batch = Batch(at.DualTrack(car), made, [driven], profile)
+    road_drive, controller = (
+        page_setup.drive_of(TOUCHED, car),
+        page_setup.controller_of(TOUCHED["controllers"][0], car, profile),
+    )
+    batch = Batch(at.DualTrack(car), controller, [road_drive], profile)
     settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
     run = batch.arena(1, int(batch.substeps[0]), settings)
     run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
@@ -178,10 +153,10 @@ def by_python(before, touch, after):
 def slower(run, batch):
     actuator = batch.world.steering.replace(lag=0.3, dead_time=0.11, bias=0.01)
     run.vehicles.parameters[:] = pack_plant(batch.world.plant.vehicle, batch.world.plant.tyre, actuator)
-    whole, share = dead_periods(batch.world.profile.delay, actuator.dead_time, batch.world.period)
+    periods, share = dead_periods(batch.world.profile.delay, actuator.dead_time, batch.world.period)
     noises = "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y"
     return run._replace(settings=run.settings._replace(
-        dead_whole=whole, dead_share=share, steering_lag=0.3, steering_bias=0.01,
+        dead_whole=periods, dead_share=share, steering_lag=0.3, steering_bias=0.01,
         **{name: 3.0 * getattr(run.settings, name) for name in noises}))  # fmt: skip
 
 
@@ -230,40 +205,42 @@ TOUCHES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TOUCHES)
 def test_what_is_touched_is_what_the_package_does_with_the_same(name, ask):
-    touch, what = TOUCHES[name]
+    touch, change = TOUCHES[name]
     expected = by_python(300, touch, 700)
-    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advanced(300), changed(what), advanced(700))
-    assert refused(answers) == []
-    (found,) = frames(answers)
-    states = np.stack([found[column] for column in ("x", "y", "yaw", "vx", "vy", "yaw_rate")], axis=-1)
+    answers = ask(
+        {"type": "start", "id": 1, "setup": TOUCHED}, advance_message(300), change_message(change), advance_message(700)
+    )
+    assert refusals_of(answers) == []
+    (columns,) = frames(answers)
+    states = np.stack([columns[column] for column in ("x", "y", "yaw", "vx", "vy", "yaw_rate")], axis=-1)
     assert (states.view(np.int64) != expected[: len(states)].view(np.int64)).sum() == 0
     assert len(states) > 400
 
 
 @pytest.mark.slow
 def test_a_wheel_that_is_pulled_is_let_go_again(ask):
-    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advanced(100),
-                  changed({"pull": {"angle": 0.05, "duration": 0.5}}), advanced(200))  # fmt: skip
-    (calm,), (found,) = frames(ask(*drive(TOUCHED, 300))), frames(answers)
-    apart = np.abs(found["wheel_angle"] - calm["wheel_angle"][:300])
-    assert apart[:100].max() == 0.0
-    assert apart[100:115].max() > 0.02
-    assert apart[-1] < 0.01
+    answers = ask({"type": "start", "id": 1, "setup": TOUCHED}, advance_message(100),
+                  change_message({"pull": {"angle": 0.05, "duration": 0.5}}), advance_message(200))  # fmt: skip
+    (calm,), (columns,) = frames(ask(*drive(TOUCHED, 300))), frames(answers)
+    distance = np.abs(columns["wheel_angle"] - calm["wheel_angle"][:300])
+    assert distance[:100].max() == 0.0
+    assert distance[100:115].max() > 0.02
+    assert distance[-1] < 0.01
 
 
 @pytest.mark.slow
 def test_ice_that_is_laid_on_a_later_lap_lies_there_and_on_the_laps_after_it(ask):
     lap = page_setup.page_road("oval").length
     setup = {**TOUCHED, "road": {"name": "oval"}, "speed": {"constant": 15.0}}
-    laid = changed({"ice": {"from": 1.99 * lap, "to": 2.02 * lap, "friction": 0.4}})
-    answers = ask({"type": "start", "id": 1, "setup": setup}, advanced(300), laid, *[advanced(1500)] * 3)
-    assert refused(answers) == []
-    (found,) = frames(answers)
-    within = (found["station"] % lap > 0.995 * lap) | (found["station"] % lap < 0.015 * lap)
-    later = within & (found["station"] > 1.9 * lap)
-    assert found["station"][-1] > 3.1 * lap
-    assert (found["friction"][later] == 0.4).all()
-    assert (found["friction"][found["station"] < 1.9 * lap] > 0.4).all()
+    laid = change_message({"ice": {"from": 1.99 * lap, "to": 2.02 * lap, "friction": 0.4}})
+    answers = ask({"type": "start", "id": 1, "setup": setup}, advance_message(300), laid, *[advance_message(1500)] * 3)
+    assert refusals_of(answers) == []
+    (columns,) = frames(answers)
+    within = (columns["station"] % lap > 0.995 * lap) | (columns["station"] % lap < 0.015 * lap)
+    later = within & (columns["station"] > 1.9 * lap)
+    assert columns["station"][-1] > 3.1 * lap
+    assert (columns["friction"][later] == 0.4).all()
+    assert (columns["friction"][columns["station"] < 1.9 * lap] > 0.4).all()
 
 
 # -- bounds -----------------------------------------------------------------------------------------------------------
@@ -273,7 +250,7 @@ def _wrong(**changes):
 
 KINKED, BROKEN = [[0, 0], [10, 0], [0, 0.001], [10, 0.1], [0, 5]], [[0, 0], [10, 0], [None, 3], [20, 1]]
 HOSTILE = {
-    "car": [{"name": "none"}, *({"sheet": {"mass": each, "wheelbase": 2.7}} for each in ("NaN", 10, 1e9, None)), None],
+    "car": [{"name": "none"}, *({"sheet": {"mass": mass, "wheelbase": 2.7}} for mass in ("NaN", 10, 1e9, None)), None],
     "road": [{"name": "none"}, {"test": "none"}, {}, {"points": [[0, 0]]}, {"points": KINKED}, {"points": BROKEN},
              {"points": [[0, 0]] * 9}],
     "speed": [{"constant": 0}, {"constant": None}, {"lateral": 1e9}, {}, {"lateral": "fast"}, None],
@@ -287,14 +264,14 @@ HOSTILE = {
 
 
 def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
-    wrong = [_wrong(**{name: each}) for name, values in HOSTILE.items() for each in values]
+    wrong_setups = [_wrong(**{name: value}) for name, values in HOSTILE.items() for value in values]
     reading = {"type": "read", "what": "csv", "text": "x"}
-    others = [changed({"truth": {"lag": 1}}), advanced(5), {"type": "none"}, reading]
+    requests = [change_message({"truth": {"lag": 1}}), advance_message(5), {"type": "none"}, reading]
     touches = [{"tuning": {"Np": 0}}, {"ice": {"from": 5, "to": 1, "friction": 0.3}}, {"none": 1}]
-    good = [{"type": "start", "id": 2, "setup": TOUCHED}, advanced(20)]
-    answers = ask(*wrong, *others, *good, *map(changed, touches), advanced(10))
-    words = refused(answers)
-    assert len(words) == len(wrong) + len(others) + len(touches)
+    good_requests = [{"type": "start", "id": 2, "setup": TOUCHED}, advance_message(20)]
+    answers = ask(*wrong_setups, *requests, *good_requests, *map(change_message, touches), advance_message(10))
+    words = refusals_of(answers)
+    assert len(words) == len(wrong_setups) + len(requests) + len(touches)
     assert [text for _, text in words if "engine failed" in text or text[-1] not in ".?"] == []
     assert answers[-1]["count"] == 10
 
@@ -303,15 +280,15 @@ def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
 def test_all_sliders_at_their_ends_neither_hang_nor_fail(ask):
     names = ("lag", "dead_time", "bias", "noise", "friction", "wind")
     least, most, mixed = (0, 0, -0.1, 0, 0.05, -40), (1, 1, 0.1, 20, 1.5, 40), (0, 1, 0, 1, 1, 0)
-    ends = [{"truth": dict(zip(names, each, strict=True))} for each in (least, most, mixed)]
+    ends = [{"truth": dict(zip(names, values, strict=True))} for values in (least, most, mixed)]
     weights = (60, 20, 0, 1e-12), (1, 1, 1e9, 1e9)
-    tunings = [{"tuning": dict(zip(("Np", "Nc", "Q", "R"), each, strict=True))} for each in weights]
+    tunings = [{"tuning": dict(zip(("Np", "Nc", "Q", "R"), weights_at_end, strict=True))} for weights_at_end in weights]
     beliefs = [{"belief": {"lag": 0, "dead_time": 0}}, {"belief": {"lag": 1, "dead_time": 1}}]
     messages = [
         {"type": "start", "id": 1, "setup": {**TOUCHED, "controllers": [{"kind": "informed"}, {"kind": "learning"}]}}
     ]
-    for what in [*ends, *tunings, *beliefs]:
-        messages += [changed(what), advanced(40)]
+    for change in [*ends, *tunings, *beliefs]:
+        messages += [change_message(change), advance_message(40)]
     answers = ask(*messages)
-    assert refused(answers) == []
-    assert sum(each["type"] == "frames" for each in answers) == len([*ends, *tunings, *beliefs])
+    assert refusals_of(answers) == []
+    assert sum(answer["type"] == "frames" for answer in answers) == len([*ends, *tunings, *beliefs])

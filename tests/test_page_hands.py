@@ -7,7 +7,7 @@ import pytest
 import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
 from browsers import Chromium
-from pages import READY, STATE
+from pages import STATE, open_page
 
 pytestmark = [
     pytest.mark.compiled,
@@ -28,17 +28,9 @@ def chromium():
 
 
 @pytest.fixture
-def shown(chromium, file):
+def window(chromium, file):
     """The page, paused."""
-    return opened(chromium, file)
-
-
-def opened(page, file, fragment=""):
-    page.open("about:blank")
-    page.open(file.as_uri() + fragment)
-    page.wait(READY)
-    page.run("adaptrackPage.pause()")
-    return page
+    return open_page(chromium, file)
 
 
 def click(page, name):
@@ -65,84 +57,84 @@ def test_it_drives_by_itself(chromium, file):
 
 # -- lessons ----------------------------------------------------------------------------------------------------------
 def test_a_lesson_sets_the_page_and_ticks_itself_when_it_was_done(chromium, file):
-    shown = opened(chromium, file, "#lesson=lag")
-    assert [car["failed"] for car in drive(shown, 100)] == [None, None]
-    assert not shown.run("document.getElementById('lesson-mark').classList.contains('done')")
-    click(shown, "lesson-do")
-    told, blind = drive(shown, 300)
-    shown.wait("document.getElementById('lesson-mark').classList.contains('done')", 5)
-    assert told["rms"] < 0.03 < 0.2 < blind["rms"]
-    assert "0.40 s" in shown.run(STATE)["events"][0]["text"]
-    shown.wait("location.hash.startsWith('#car=')", 5)  # no longer as the lesson set it
+    window = open_page(chromium, file, "#lesson=lag")
+    assert [car["failed"] for car in drive(window, 100)] == [None, None]
+    assert not window.run("document.getElementById('lesson-mark').classList.contains('done')")
+    click(window, "lesson-do")
+    informed, blind = drive(window, 300)
+    window.wait("document.getElementById('lesson-mark').classList.contains('done')", 5)
+    assert informed["rms"] < 0.03 < 0.2 < blind["rms"]
+    assert "0.40 s" in window.run(STATE)["events"][0]["text"]
+    window.wait("location.hash.startsWith('#car=')", 5)  # no longer as the lesson set it
 
 
 # -- touches ----------------------------------------------------------------------------------------------------------
-def test_each_touch_is_an_event_in_words(shown):
-    before = drive(shown, 60)[0]["most"]
+def test_each_touch_is_an_event_in_words(window):
+    before = drive(window, 60)[0]["most"]
     touches = ("push-left", "pull-right", "ice", "sensor-yaw_rate")
     for name in touches:
-        click(shown, name)
-        shown.run("adaptrackPage.advance(20)")
-    assert drive(shown, 20)[0]["most"] > 2 * before
-    shown.wait(f"{STATE}.events.length === {len(touches)}", 5)
-    said = shown.run("document.getElementById('touches').textContent")
+        click(window, name)
+        window.run("adaptrackPage.advance(20)")
+    assert drive(window, 20)[0]["most"] > 2 * before
+    window.wait(f"{STATE}.events.length === {len(touches)}", 5)
+    words = window.run("document.getElementById('touches').textContent")
     for word in ("Pushed to the left", "Wheel pulled to the right", "Ice laid", "Yaw rate no longer measured"):
-        assert word in said
+        assert word in words
 
 
-def test_a_car_that_is_dragged_is_pushed(shown):
-    drive(shown, 20)
-    x, y = shown.run("(() => { const {view} = adaptrackPage.page, {x, y} = view.place(0),"
+def test_a_car_that_is_dragged_is_pushed(window):
+    drive(window, 20)
+    x, y = window.run("(() => { const {view} = adaptrackPage.page, {x, y} = view.place(0),"
                      " [px, py] = view.toScreen(x, y), road = document.getElementById('road-canvas'),"
                      " box = road.getBoundingClientRect(); return [px + box.left, py + box.top]; })()")  # fmt: skip
-    shown.click(x, y, to=(x, y - 40))  # the road begins along x: up is to the left
-    shown.wait(f"{STATE}.events.length === 1", 5)
-    assert "pushed to the left" in shown.run(STATE)["events"][0]["text"]
+    window.click(x, y, to=(x, y - 40))  # the road begins along x: up is to the left
+    window.wait(f"{STATE}.events.length === 1", 5)
+    assert "pushed to the left" in window.run(STATE)["events"][0]["text"]
 
 
 # -- a road of one's own ----------------------------------------------------------------------------------------------
-def test_a_road_is_drawn_with_the_pointer_and_with_keys(shown):
-    choose(shown, "setup-road", "draw")
+def test_a_road_is_drawn_with_the_pointer_and_with_keys(window):
+    choose(window, "setup-road", "draw")
     box = "document.getElementById('road-canvas').getBoundingClientRect()"
-    left, top, width, height = shown.run(f"(({{x, y, width, height}}) => [x, y, width, height])({box})")
-    shown.click(left + 0.1 * width, top + 0.6 * height, to=(left + 0.9 * width, top + 0.4 * height))
-    shown.wait(f"{STATE}.setup.road.points && {STATE}.cars[0].count > 0", 10)
-    pointed = shown.run(STATE)["setup"]["road"]["points"]
-    choose(shown, "setup-road", "draw")
-    shown.wait("document.activeElement.id === 'road-canvas'", 5)
+    left, top, width, height = window.run(f"(({{x, y, width, height}}) => [x, y, width, height])({box})")
+    window.click(left + 0.1 * width, top + 0.6 * height, to=(left + 0.9 * width, top + 0.4 * height))
+    window.wait(f"{STATE}.setup.road.points && {STATE}.cars[0].count > 0", 10)
+    pointed = window.run(STATE)["setup"]["road"]["points"]
+    choose(window, "setup-road", "draw")
+    window.wait("document.activeElement.id === 'road-canvas'", 5)
     for _ in range(6):
-        shown.press("ArrowRight", shift=True, times=2)
-        shown.press("ArrowUp")
-        shown.press("Enter")
-    shown.press("d")
-    shown.wait(f"{STATE}.setup.road.points.length === 6 && {STATE}.cars[0].count > 0", 10)
+        window.press("ArrowRight", shift=True, times=2)
+        window.press("ArrowUp")
+        window.press("Enter")
+    window.press("d")
+    window.wait(f"{STATE}.setup.road.points.length === 6 && {STATE}.cars[0].count > 0", 10)
     assert len(pointed) >= 4
-    assert shown.run(STATE)["notice"] == ""
+    assert window.run(STATE)["notice"] == ""
 
 
 # -- mishaps ----------------------------------------------------------------------------------------------------------
-def test_a_worker_that_dies_is_begun_anew_with_a_sentence(shown):
-    shown.run("adaptrackPage.page.engine.die('a test')")
-    shown.wait(f"{STATE}.notice.includes('begun anew') && {STATE}.cars[0].count > 0", 10)
-    assert shown.run("adaptrackPage.advance(5)") == 5
+def test_a_worker_that_dies_is_begun_anew_with_a_sentence(window):
+    window.run("adaptrackPage.page.engine.die('a test')")
+    window.wait(f"{STATE}.notice.includes('begun anew') && {STATE}.cars[0].count > 0", 10)
+    assert window.run("adaptrackPage.advance(5)") == 5
 
 
-def test_a_car_that_leaves_the_road_says_what_helps(shown):
-    shown.run(f"adaptrackPage.start({{...{STATE}.setup, truth: {{lag: 1}}}})")
-    drive(shown, 1000)
-    shown.wait("!document.getElementById('verdict').hidden", 5)
-    assert "let the controller know the lag" in shown.run("document.getElementById('verdict').textContent")
+def test_a_car_that_leaves_the_road_says_what_helps(window):
+    window.run(f"adaptrackPage.start({{...{STATE}.setup, truth: {{lag: 1}}}})")
+    drive(window, 1000)
+    window.wait("!document.getElementById('verdict').hidden", 5)
+    assert "let the controller know the lag" in window.run("document.getElementById('verdict').textContent")
 
 
 # -- in words, and out again ------------------------------------------------------------------------------------------
 
 
-def test_the_drive_is_saved_as_csv(shown):
-    drive(shown, 50)
-    shown.run("window.saved = null, URL.createObjectURL = (blob) => { blob.text().then((t) => { saved = t; });"
+def test_the_drive_is_saved_as_csv(window):
+    drive(window, 50)
+    window.run("window.saved = null, URL.createObjectURL = (blob) => { blob.text().then((t) => { saved = t; });"
               " return '#'; }, HTMLAnchorElement.prototype.click = () => {}")  # fmt: skip
-    click(shown, "csv-0")
-    shown.wait("window.saved !== null", 10)
-    lines = [line for line in shown.run("saved").splitlines() if not line.startswith("#")]
+    click(window, "csv-0")
+    window.wait("window.saved !== null", 10)
+    lines = [line for line in window.run("saved").splitlines() if not line.startswith("#")]
     assert len(lines) >= 50
-    assert json.dumps(shown.said()) == "[]"
+    assert json.dumps(window.said()) == "[]"

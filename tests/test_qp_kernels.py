@@ -31,8 +31,8 @@ def sweep(qp, sweeps=38, tolerance=1e-7, start=None):
     """Status, x, lam and sweeps of Hildreth's procedure."""
     workspace = Workspace()
     assert workspace.load(qp, hildreth=True) is QPStatus.SOLVED
-    status, done = workspace.hildreth(sweeps, tolerance, start)
-    return status, *workspace.result(), done
+    status, count = workspace.hildreth(sweeps, tolerance, start)
+    return status, *workspace.result(), count
 
 
 def whole_numbers(seed, n, m):
@@ -70,9 +70,9 @@ def test_a_hessian_that_is_not_positive_definite_is_refused(E):
 def test_at_a_condition_of_8e11_the_solution_is_exact_to_rounding():
     qp, x = ill_conditioned_problem()
     assert 1e11 < np.linalg.cond(qp.E) < 1e12
-    status, found, _, _ = solve(qp)
+    status, solution, _, _ = solve(qp)
     assert status is QPStatus.SOLVED
-    np.testing.assert_allclose(found, x, rtol=1e-13)
+    np.testing.assert_allclose(solution, x, rtol=1e-13)
     free = QP(qp.E, qp.K)
     reference = reference_solve(qp.E, qp.K, free.M, free.gamma)
     np.testing.assert_allclose(solve(free)[1], reference.x, atol=1e-10)  # the data allow 1e-4
@@ -106,17 +106,17 @@ def test_degenerate_and_contradicting_rows_are_told_apart(seed, n, m):
 
 def test_a_kept_factor_leads_to_the_same_solution(rng):
     E, K, M, gamma = drawn_problem(rng, 9, 30)
-    kept, active = Workspace(), 0
+    workspace, active = Workspace(), 0
     for _ in range(30):
         qp = QP(E, K + 3.0 * rng.normal(size=9), M, gamma + rng.uniform(0.0, 0.3, size=30))
         if active == 0:
-            kept.load(qp)
-        kept.problem.K[:9], kept.problem.gamma[:30] = qp.K, qp.gamma
+            workspace.load(qp)
+        workspace.problem.K[:9], workspace.problem.gamma[:30] = qp.K, qp.gamma
         status, _, active = active_set(
-            kept.problem, kept.factor, kept.solution, kept.scratch, active, active > 0, ENOUGH
+            workspace.problem, workspace.factor, workspace.solution, workspace.scratch, active, active > 0, ENOUGH
         )
         assert status == kernels.SOLVED
-        np.testing.assert_allclose(kept.result()[0], solve(qp)[1], atol=1e-12)
+        np.testing.assert_allclose(workspace.result()[0], solve(qp)[1], atol=1e-12)
 
 
 def test_neither_the_padding_nor_earlier_problems_reach_the_result(rng):
@@ -135,11 +135,11 @@ def test_neither_the_padding_nor_earlier_problems_reach_the_result(rng):
 def test_the_problem_and_its_factor_are_left_as_they_were(rng):
     workspace = Workspace()
     workspace.load(QP(*drawn_problem(rng, 7, 25)), hildreth=True)
-    given = (*workspace.problem[2:], *workspace.factor[:2])
-    before = [array.copy() for array in given]
+    inputs = (*workspace.problem[2:], *workspace.factor[:2])
+    before = [array.copy() for array in inputs]
     workspace.active_set(ENOUGH)
     workspace.hildreth(38, 1e-7, None)
-    for array, copy in zip(given, before, strict=True):
+    for array, copy in zip(inputs, before, strict=True):
         assert np.array_equal(array, copy)
 
 
@@ -168,24 +168,24 @@ def test_data_that_are_not_finite_are_a_status(name, value, method, rng):
         assert status is QPStatus.NON_FINITE
 
 
-@pytest.mark.parametrize("kept", [True, False], ids=["kept factor", "guessed rows"])
+@pytest.mark.parametrize("is_kept", [True, False], ids=["kept factor", "guessed rows"])
 @pytest.mark.parametrize("n", range(1, 21))
-def test_with_as_many_active_rows_as_variables_a_gradient_that_is_not_finite_is_a_status(n, kept, rng):
+def test_with_as_many_active_rows_as_variables_a_gradient_that_is_not_finite_is_a_status(n, is_kept, rng):
     # x then follows from the rows alone: only the multipliers tell.
     E, _, _, _ = drawn_problem(rng, n, 1)
     rows = np.vstack([np.eye(n), -np.eye(n)])
-    good = QP(E, -E @ np.ones(n) - 10.0, rows, np.ones(2 * n))  # x = 1, each multiplier 10
+    solvable = QP(E, -E @ np.ones(n) - 10.0, rows, np.ones(2 * n))  # x = 1, each multiplier 10
     for place in {0, n // 2, n - 1}:
         for value in (np.nan, np.inf, -np.inf):
             w = Workspace()
-            w.load(good)
+            w.load(solvable)
             status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, 0, False, ENOUGH)
             assert (status, active) == (kernels.SOLVED, n)
             w.problem.K[place] = value
-            status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, active, kept, ENOUGH)
+            status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, active, is_kept, ENOUGH)
             assert (status, active) == (kernels.NON_FINITE, 0)
-            w.problem.K[:n] = good.K
-            status, _, _ = active_set(w.problem, w.factor, w.solution, w.scratch, active, kept, ENOUGH)
+            w.problem.K[:n] = solvable.K
+            status, _, _ = active_set(w.problem, w.factor, w.solution, w.scratch, active, is_kept, ENOUGH)
             assert status == kernels.SOLVED
 
 
@@ -213,11 +213,11 @@ def test_hildreth_is_the_textbooks_procedure_sweep_by_sweep(rng):
     for n, m in ((1, 2), (5, 20), (10, 40)):
         qp = QP(*drawn_problem(rng, n, m))
         for sweeps in (1, 2, 7, 38):
-            x, lam, done = textbook.hildreth(qp.E, qp.K, qp.M, qp.gamma, sweeps)
+            x, lam, count = textbook.hildreth(qp.E, qp.K, qp.M, qp.gamma, sweeps)
             _, y, mu, counted = sweep(qp, sweeps)
             np.testing.assert_allclose(y, x, atol=1e-10)
             np.testing.assert_allclose(mu, lam, atol=1e-10)
-            assert counted == done
+            assert counted == count
 
 
 @pytest.mark.compiled

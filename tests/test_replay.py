@@ -1,68 +1,40 @@
 """The replay in a browser: it opens without errors, plays, and shows the car where it was."""
 
-import base64
-import hashlib
 import re
 
 import numpy as np
 import pytest
 
-import browser
 from adaptrack.results.drive import write_drive_page
-from browser import Served
+from browsers import Chromium
 from made_drives import bend, made_run, recorded
 
 pytestmark = pytest.mark.needs("chromium")
 
 INSTANTS = (2.0, 9.13, 17.5)
 
-COLLECT = """
-<script>
-const failures = [], found = {}, replay = window.adaptrackReplay;
-addEventListener("error", event => failures.push(String(event.message)));
-addEventListener("unhandledrejection", event => failures.push(String(event.reason)));
-const canvas = document.querySelector("#replay-view canvas");
+ASK = """(async () => {
+const found = {}, replay = window.adaptrackReplay, canvas = document.querySelector("#replay-view canvas");
 const part = name => document.querySelector(`#replay-view :is([data-replay="${name}"], [data-part="${name}"])`);
 const press = key => canvas.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
-const until = async true_now => { while (!true_now()) await new Promise(resolve => setTimeout(resolve, 20)); };
+const until = async condition => { while (!condition()) await new Promise(resolve => setTimeout(resolve, 20)); };
 function colourAt([x, y]) {
-  const one = new OffscreenCanvas(1, 1).getContext("2d"), dense = canvas.width / canvas.clientWidth;
-  one.drawImage(canvas, -Math.round(x * dense), -Math.round(y * dense));
-  return [...one.getImageData(0, 0, 1, 1).data];
+  const dot = new OffscreenCanvas(1, 1).getContext("2d"), dense = canvas.width / canvas.clientWidth;
+  dot.drawImage(canvas, -Math.round(x * dense), -Math.round(y * dense));
+  return [...dot.getImageData(0, 0, 1, 1).data];
 }
-addEventListener("load", async () => {
-  try {
-    %s
-  } catch (error) {
-    failures.push(String(error));
-  }
-  Object.assign(found, {failures, width: innerWidth, overflow: document.documentElement.scrollWidth - innerWidth});
-  await fetch("/found", {method: "POST", body: JSON.stringify(found)});
-});
-</script>
-"""
-
-
-def with_script(page, script):
-    """A page with one more script at its end, which its policy allows, and which may post what it has found."""
-    first, last = script.index("<script>") + len("<script>"), script.index("</script>")
-    digest = base64.b64encode(hashlib.sha256(script[first:last].encode()).digest()).decode()
-    assert page.count("default-src 'none'; script-src ") == 1
-    allowed = f"default-src 'none'; connect-src 'self'; script-src 'sha256-{digest}' "
-    return page.replace("default-src 'none'; script-src ", allowed).replace("</body>", script + "</body>")
+%s
+return {...found, width: innerWidth, overflow: document.documentElement.scrollWidth - innerWidth};
+})()"""
 
 
 def ask_page(path, script, width=1400, fragment=""):
-    """What `script` put into ``found``, at the end of the page at `path`, `width` pixels wide, in a browser."""
-    frame = (
-        f'<link rel="icon" href="data:,"><iframe src="/page{fragment}" width="{width}" height="900" frameborder="0">'
-    )
-    page = with_script(path.read_text(encoding="utf-8"), COLLECT % script)
-    pages = {"/": Served(f"<!doctype html>{frame}</iframe>"), "/page": Served(page)}
-    found, said = browser.ask(pages)
-    assert found["failures"] == []
-    assert said == []
-    return found
+    """What `script` put into `found`, in the page at `path`, `width` pixels wide, which says nothing to the console."""
+    with Chromium((width, 900)) as window:
+        window.open(path.as_uri() + fragment)
+        answer = window.run(ASK % script)
+        assert window.said() == []
+    return answer
 
 
 @pytest.fixture(scope="module")
@@ -100,32 +72,32 @@ SEEK = (
 
 
 @pytest.fixture(scope="module", params=[1400, 400])
-def seen(request, page):
-    found = ask_page(page, SEEK, request.param)
-    assert found["width"] == request.param
-    return found
+def answers(request, page):
+    answer = ask_page(page, SEEK, request.param)
+    assert answer["width"] == request.param
+    return answer
 
 
-def test_the_car_is_where_it_was_at_three_instants(seen, drives):
-    for t, shown in zip(INSTANTS, seen["seen"], strict=True):
-        for drive, car in zip(drives, shown["near"]["cars"], strict=True):
+def test_the_car_is_where_it_was_at_three_instants(answers, drives):
+    for t, view in zip(INSTANTS, answers["seen"], strict=True):
+        for drive, car in zip(drives, view["near"]["cars"], strict=True):
             when = min(t, float(drive.time[-1]))
             for name in ("x", "y", "yaw", "station", "speed", "offset", "steering"):
                 assert car[name] == pytest.approx(np.interp(when, drive.time, getattr(drive, name)), abs=6e-3), name
 
 
-def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(seen):
-    for shown in seen["seen"]:
-        state = shown["near"]
+def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(answers):
+    for view in answers["seen"]:
+        state = view["near"]
         assert state["follow"]
         assert state["cars"][0]["pixel"] == pytest.approx([0.5 * state["width"], 0.5 * state["height"]])
-        red, _, blue, opaque = shown["colour"]  # the first series is blue, the road grey
+        red, _, blue, opaque = view["colour"]  # the first series is blue, the road grey
         assert blue - red > 60
         assert opaque == 255
 
 
-def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(seen, drives):
-    first, last = seen["whole"]
+def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(answers, drives):
+    first, last = answers["whole"]
     assert first["whole"]
     ends = [np.array(state["cars"][0]["pixel"]) for state in (first, last)]
     there = [np.array([np.interp(t, drives[0].time, v) for v in (drives[0].x, drives[0].y)]) for t in (2.0, 17.5)]
@@ -135,24 +107,24 @@ def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(seen, drives):
         assert 0.0 < pixel[1] < first["height"]
 
 
-def test_values_stand_beside_the_picture(seen, drives):
+def test_values_stand_beside_the_picture(answers, drives):
     drive = drives[0]
-    words = seen["seen"][0]["words"]
+    words = answers["seen"][0]["words"]
     assert words[0] == "2.00 s"
     assert words[1] == "20.0 m"
     assert words[3] == "10.00 m/s"
     assert float(words[2].split()[0]) == pytest.approx(np.interp(2.0, drive.time, drive.offset), abs=1e-3)
-    degrees, radians = (float(text) for text in re.findall(r"−?[\d.]+", seen["seen"][1]["words"][4]))
+    degrees, radians = (float(text) for text in re.findall(r"−?[\d.]+", answers["seen"][1]["words"][4]))
     assert radians == pytest.approx(np.interp(9.13, drive.time, drive.steering), abs=1e-4)
     assert degrees == pytest.approx(np.degrees(radians), abs=0.01)
 
 
-def test_nothing_is_wider_than_the_window(seen):
-    assert seen["overflow"] <= 0
+def test_nothing_is_wider_than_the_window(answers):
+    assert answers["overflow"] <= 0
 
 
 def test_it_plays_pauses_and_ends(page):
-    found = ask_page(
+    answer = ask_page(
         page,
         """
         part("play").click();
@@ -170,15 +142,15 @@ def test_it_plays_pauses_and_ends(page):
         found.ended = replay.state();
         found.again = (replay.play(), replay.state());""",
     )
-    assert found["playing"]["playing"]
-    assert not found["paused"]["playing"]
-    assert found["later"]["t"] == found["paused"]["t"]
-    assert found["ended"]["t"] == pytest.approx(18.25, abs=0.03)
-    assert found["again"]["t"] == 0.0
+    assert answer["playing"]["playing"]
+    assert not answer["paused"]["playing"]
+    assert answer["later"]["t"] == answer["paused"]["t"]
+    assert answer["ended"]["t"] == pytest.approx(18.25, abs=0.03)
+    assert answer["again"]["t"] == 0.0
 
 
 def test_keys_slider_wheel_and_drag_do_what_they_say(page):
-    found = ask_page(
+    answer = ask_page(
         page,
         """
         replay.seek(5);
@@ -215,33 +187,34 @@ def test_keys_slider_wheel_and_drag_do_what_they_say(page):
         found.names = [...controls].map(
           each => each.getAttribute("aria-label") || each.closest("label")?.textContent || each.textContent);""",
     )
-    assert (found["on"], found["back"], found["home"]) == (6.0, 4.0, 0.0)
-    assert found["end"] == pytest.approx(18.25, abs=0.03)
-    assert found["played"]
-    assert found["slid"] == 7.5
-    assert found["spoken"].startswith("7.50 s, station 75.0 m, offset ")
-    assert found["zoomed"] == pytest.approx(1.4)
-    assert found["wheeled"] > 1.4
-    assert found["follows"]
-    assert found["free"]
-    assert found["moved"] == pytest.approx([60.0, 30.0])
-    assert found["pinched"] == pytest.approx(2.0)
-    other = found["other"]
+    assert (answer["on"], answer["back"], answer["home"]) == (6.0, 4.0, 0.0)
+    assert answer["end"] == pytest.approx(18.25, abs=0.03)
+    assert answer["played"]
+    assert answer["slid"] == 7.5
+    assert answer["spoken"].startswith("7.50 s, station 75.0 m, offset ")
+    assert answer["zoomed"] == pytest.approx(1.4)
+    assert answer["wheeled"] > 1.4
+    assert answer["follows"]
+    assert answer["free"]
+    assert answer["moved"] == pytest.approx([60.0, 30.0])
+    assert answer["pinched"] == pytest.approx(2.0)
+    other = answer["other"]
     assert other["cars"][1]["pixel"] == pytest.approx([0.5 * other["width"], 0.5 * other["height"]])
     assert other["cars"][1]["failed"]
-    assert found["words"] == "18.00 s failed"
-    assert all(name.strip() for name in found["names"])
+    assert answer["words"] == "18.00 s failed"
+    assert all(name.strip() for name in answer["names"])
 
 
-def test_no_script_runs_but_the_replay(page):
+def test_no_script_runs_but_the_replay(page, tmp_path):
     written = "<script>window.evil = true;</script>"
-    text = page.read_text(encoding="utf-8").replace("</main>", written + "</main>")
-    answer, console = browser.ask({"/": Served(with_script(text, COLLECT % "found.evil = window.evil ?? null;"))})
-    assert answer["evil"] is None
-    assert answer["failures"] == []
-    assert any("Content Security Policy" in line for line in console)
+    other = tmp_path / "other.html"
+    other.write_text(page.read_text(encoding="utf-8").replace("</main>", written + "</main>"), encoding="utf-8")
+    with Chromium() as window:
+        window.open(other.as_uri())
+        assert window.run("window.evil ?? null") is None
+        assert any("Content Security Policy" in line for line in window.said())
 
 
 def test_a_link_to_an_instant_opens_there(page):
-    found = ask_page(page, "found.t = replay.state().t;", fragment="#t=12.5")
-    assert found["t"] == 12.5
+    answer = ask_page(page, "found.t = replay.state().t;", fragment="#t=12.5")
+    assert answer["t"] == 12.5

@@ -113,7 +113,7 @@ class Loop:
             self.car.fill_odometry(message)
             if not lost(k):
                 self.waiting.append((self.now + late(k), message))
-            for arriving in [each for each in self.waiting if each[0] <= self.now + 1e-9]:
+            for arriving in [message for message in self.waiting if message[0] <= self.now + 1e-9]:
                 self.waiting.remove(arriving)
                 self.follower.odometry(arriving[1])
             if k % 10 == 9:
@@ -162,9 +162,9 @@ def test_late_and_lost_messages_do_not_lose_the_car(Follower, channel):
 @pytest.mark.compiled
 def test_a_path_that_moves_to_the_next_lane_is_taken_over(Follower):
     points = ROAD.at(_X)
-    beside = np.stack([points.x - 1.5 * np.sin(points.heading), points.y + 1.5 * np.cos(points.heading)], axis=-1)
+    next_lane = np.stack([points.x - 1.5 * np.sin(points.heading), points.y + 1.5 * np.cos(points.heading)], axis=-1)
     loop = Loop(Follower).drive(4.0)
-    loop.road = at.road_through(beside)
+    loop.road = at.road_through(next_lane)
     loop.drive(0.5)
     loop.offset.clear()
     loop.drive(10.0)
@@ -202,11 +202,11 @@ def test_the_car_stands_at_the_end_of_its_path(Follower):
 @pytest.fixture
 def driving(Follower):
     """A follower that has made a step on a straight."""
-    made = Follower()
-    made.path(path(STRAIGHT))
-    made.odometry(odometry(0.0, x=20.0, speed=5.0))
-    assert not made.tick(0.0).stopping
-    return made
+    node = Follower()
+    node.path(path(STRAIGHT))
+    node.odometry(odometry(0.0, x=20.0, speed=5.0))
+    assert not node.tick(0.0).stopping
+    return node
 
 
 def test_the_speed_is_the_planned_one_and_the_offset_of_the_centre_of_mass(driving):
@@ -256,19 +256,19 @@ def test_two_clocks_stop_the_car(driving, ahead, says):
     ("y", "speed", "says"), [(5.0, 5.0, "too far"), (0.0, -1.0, "backwards")], ids=["off the path", "reverse"]
 )
 def test_a_status_that_is_not_good_stops_the_car(Follower, y, speed, says):
-    made = Follower()
-    made.path(path(STRAIGHT))
-    made.odometry(odometry(0.0, x=20.0, y=y, speed=speed))
-    assert says in made.tick(0.0).stopping
+    node = Follower()
+    node.path(path(STRAIGHT))
+    node.odometry(odometry(0.0, x=20.0, y=y, speed=speed))
+    assert says in node.tick(0.0).stopping
 
 
 def test_speeds_of_the_path_are_driven(Follower):
-    made = Follower(Parameters(path_message="autoware_planning_msgs/Trajectory"))
-    made.path(trajectory(STRAIGHT, np.full(100, 3.0)))
-    made.odometry(odometry(0.0, x=20.0, speed=3.0))
-    assert made.tick(0.0).speed == pytest.approx(3.0)
-    made.path(trajectory(STRAIGHT, np.full(100, -3.0)))
-    assert "backwards" in made.diagnosis(0.0)[1]
+    node = Follower(Parameters(path_message="autoware_planning_msgs/Trajectory"))
+    node.path(trajectory(STRAIGHT, np.full(100, 3.0)))
+    node.odometry(odometry(0.0, x=20.0, speed=3.0))
+    assert node.tick(0.0).speed == pytest.approx(3.0)
+    node.path(trajectory(STRAIGHT, np.full(100, -3.0)))
+    assert "backwards" in node.diagnosis(0.0)[1]
 
 
 def drive_obediently(node, message, seconds=14.0, lag=0.3):
@@ -305,10 +305,10 @@ def test_engaging_begins_at_the_angle_of_the_wheels(driving):
     assert driving.tick(0.1).angle == pytest.approx(0.4, abs=1.01 * ahead)
 
 
-@pytest.mark.parametrize("wrong", [{"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}])
-def test_parameters_that_are_not_possible_are_refused(wrong):
+@pytest.mark.parametrize("values", [{"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}])
+def test_parameters_that_are_not_possible_are_refused(values):
     with pytest.raises(at.InvalidInput):
-        follower.Follower(Parameters(**wrong))
+        follower.Follower(Parameters(**values))
 
 
 # -- the C++ node -----------------------------------------------------------------------------------------------------
@@ -316,7 +316,7 @@ def test_parameters_that_are_not_possible_are_refused(wrong):
 @pytest.mark.parametrize("kind", ["trajectory", "stamped path"])
 def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
     """Samples late, lost and overtaking each other, a path that moves, a silence, an engagement."""
-    made = [follower.Follower(), cpp[0].CppFollower(cpp[1])]
+    nodes = [follower.Follower(), cpp[0].CppFollower(cpp[1])]
     t, points = 0.2 * np.arange(200.0), np.stack([_X[:200], 8.0 * np.sin(_X[:200] / 25.0)], axis=-1)
     paths = [points, points + np.array([0.0, 0.4])]
     rng, sent = np.random.default_rng(1), ([], [])
@@ -326,14 +326,14 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
         y, yaw = 8.0 * np.sin(x / 25.0) + rng.normal(0.0, 0.02), np.arctan(0.32 * np.cos(x / 25.0))
         message = odometry(time - 0.05 * int(rng.integers(3)), x, y, yaw, 5.0 + rng.normal(0.0, 0.05), 0.0)
         lost, moved = 60 <= k < 75 or rng.random() < 0.2, paths[int(k >= 100)]
-        for each, commands in zip(made, sent, strict=True):
+        for node, commands in zip(nodes, sent, strict=True):
             if k % 20 == 0:
-                each.path(trajectory(moved, 4.0 + _X[:200] / 64) if kind == "trajectory" else path(moved, 9.0 + t))
+                node.path(trajectory(moved, 4.0 + _X[:200] / 64) if kind == "trajectory" else path(moved, 9.0 + t))
             if not lost:
-                each.odometry(message)
+                node.odometry(message)
             if k in (120, 124):
-                each.engage(k == 124, 0.02)
-            commands.append(each.tick(time))
+                node.engage(k == 124, 0.02)
+            commands.append(node.tick(time))
     stopped = [command is None or bool(command.stopping) for command in sent[0]]
     assert 10 < sum(stopped) < 40
     for ours, theirs in zip(*sent, strict=True):
@@ -347,13 +347,13 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
 def test_constants_of_a_file_are_taken_and_damaged_ones_refused(cpp, folder):
     module, library = cpp
     constants = (folder / "constants.bin").read_bytes()
-    made = module.CppFollower(library, constants=constants)
-    made.path(path(STRAIGHT))
-    made.odometry(odometry(0.0, x=20.0, speed=5.0))
-    assert not made.tick(0.0).stopping
-    for wrong in (constants[:-1], constants[:40] + bytes([constants[40] ^ 1]) + constants[41:], b"?" * 64):
+    node = module.CppFollower(library, constants=constants)
+    node.path(path(STRAIGHT))
+    node.odometry(odometry(0.0, x=20.0, speed=5.0))
+    assert not node.tick(0.0).stopping
+    for damaged in (constants[:-1], constants[:40] + bytes([constants[40] ^ 1]) + constants[41:], b"?" * 64):
         with pytest.raises(at.InvalidInput, match="constants: adaptrack error"):
-            module.CppFollower(library, constants=wrong)
+            module.CppFollower(library, constants=damaged)
     with pytest.raises(at.InvalidInput, match="base_ahead"):
         module.CppFollower(library, Parameters(base_ahead=math.nan))
 
@@ -363,12 +363,12 @@ def test_a_bend_is_planned_within_three_metres_per_second_squared(cpp):
     """The C++ node's own plan: a half circle of 12 m radius behind a straight, and a stand at its end."""
     angle = np.linspace(0.0, np.pi, 38)
     bend = np.stack([40.0 + 12.0 * np.sin(angle), 12.0 - 12.0 * np.cos(angle)], axis=-1)
-    made = cpp[0].CppFollower(cpp[1])
-    made.path(path(np.concatenate([STRAIGHT[:40], bend])))
+    node = cpp[0].CppFollower(cpp[1])
+    node.path(path(np.concatenate([STRAIGHT[:40], bend])))
     speeds = []
     for k, s in enumerate(np.arange(0.0, 40.0, 0.25)):
-        made.odometry(odometry(0.05 * k, x=s + CAR.lr, speed=5.0))
-        speeds.append(made.tick(0.05 * k).speed)
+        node.odometry(odometry(0.05 * k, x=s + CAR.lr, speed=5.0))
+        speeds.append(node.tick(0.05 * k).speed)
     assert max(speeds) <= 10.0
     assert speeds[-1] == pytest.approx(math.sqrt(3.0 * 12.0), rel=0.05)
     assert np.diff(np.square(speeds)).min() > -2.0 * 1.5 * 0.3
@@ -377,7 +377,7 @@ def test_a_bend_is_planned_within_three_metres_per_second_squared(cpp):
 @pytest.mark.compiled
 def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_have(cpp):
     """Numbers that are none, far away, clocks that jump, paths of one point, of points twice, that fold back."""
-    rng, made = np.random.default_rng(3), cpp[0].CppFollower(cpp[1])
+    rng, node = np.random.default_rng(3), cpp[0].CppFollower(cpp[1])
     strange = [math.nan, math.inf, -1e300, 1e9, 0.0, -50.0]
     most, angles, going = follower.Follower().controller().limits.angle[1], [], 0
     for k in range(3000):
@@ -389,18 +389,18 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
         if rng.random() < 0.05:
             message.pose.pose.orientation.w = rng.choice(strange)
         if rng.random() < 0.9:
-            made.odometry(message)
+            node.odometry(message)
         if rng.random() < 0.2:
             points = STRAIGHT[: rng.integers(101)] + rng.normal(0.0, 0.02, 2)
             if len(points) and rng.random() < 0.4:
                 points[rng.integers(len(points))] = rng.choice(strange, 2)
-            made.path(path(points, rng.integers(0, 9, len(points)) if rng.random() < 0.1 else None))
+            node.path(path(points, rng.integers(0, 9, len(points)) if rng.random() < 0.1 else None))
         if rng.random() < 0.02:
-            made.engage(True, rng.choice([*strange, 0.1]))
-        command = made.tick(time + (rng.choice([-5.0, 9.0]) if rng.random() < 0.02 else 0.0))
+            node.engage(True, rng.choice([*strange, 0.1]))
+        command = node.tick(time + (rng.choice([-5.0, 9.0]) if rng.random() < 0.02 else 0.0))
         angles.append(command.angle)
         going += not command.stopping
-        made.diagnosis(time)
+        node.diagnosis(time)
     assert np.isfinite(angles).all()
     assert np.abs(angles).max() <= most
     assert going > 300
@@ -411,12 +411,14 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
 def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path):
     """With stand-ins of ament and of the packages that it finds."""
     find_program("cmake")
-    includes = ";".join(each.removeprefix("-I") for each in cpp[0].includes(folder)[2:])
-    made = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
-    made += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
+    includes = ";".join(option.removeprefix("-I") for option in cpp[0].includes(folder)[2:])
+    target = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
+    target += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
     for name in ("ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "nav_msgs", "std_msgs"):
-        said = {"ament_cmake": "macro(ament_package)\nendmacro()", "rclcpp": made}.get(name, f"set({name}_TARGETS)")
-        (tmp_path / f"{name}Config.cmake").write_text(said + "\n")
+        content = {"ament_cmake": "macro(ament_package)\nendmacro()", "rclcpp": target}.get(
+            name, f"set({name}_TARGETS)"
+        )
+        (tmp_path / f"{name}Config.cmake").write_text(content + "\n")
     shutil.copytree(CPP, tmp_path / "package")
     shutil.copytree(
         folder, tmp_path / "package" / "controller", ignore=shutil.ignore_patterns("*.so", "*.o.d", "node*")
@@ -431,15 +433,15 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
 @pytest.mark.compiled
 @pytest.mark.parametrize("options", [(), ("path_message", "autoware_planning_msgs/Trajectory")])
 def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
-    said = dict(
+    report = dict(
         line.split("=", 1) for line in cpp[0].run(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
     )
-    assert int(said["commands"]) == pytest.approx(80, abs=2)
-    assert (said["frame"], said["level"], said["message"]) == ("base_link", "0", "following")
-    assert float(said["speed"]) > (3.5 if options else 4.5)
-    assert abs(float(said["offset"])) < 0.1  # from 0.3 m
-    assert int(said["stamp"]) in (1003, 1004)
-    assert said["disengaged"] == "0"
+    assert int(report["commands"]) == pytest.approx(80, abs=2)
+    assert (report["frame"], report["level"], report["message"]) == ("base_link", "0", "following")
+    assert float(report["speed"]) > (3.5 if options else 4.5)
+    assert abs(float(report["offset"])) < 0.1  # from 0.3 m
+    assert int(report["stamp"]) in (1003, 1004)
+    assert report["disengaged"] == "0"
 
 
 # -- the package ------------------------------------------------------------------------------------------------------
@@ -449,8 +451,8 @@ def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
 def test_the_two_nodes_drive_each_other(monkeypatch):
     """On stand-ins of rclpy: what is published fits what is subscribed to, and the car leaves its place."""
     network = fake_ros(monkeypatch)
-    made = [package_module(name) for name in ("follower_node", "stand_in_node")]
-    _, car = made[0].FollowerNode(), made[1].StandInNode()
+    modules = [package_module(name) for name in ("follower_node", "stand_in_node")]
+    _, car = modules[0].FollowerNode(), modules[1].StandInNode()
     network.run(4.0)
     sent, status = network.sent["drive"][-1], network.sent["/diagnostics"][-1].status[0]
     assert sent.drive.speed > 0.0
@@ -461,17 +463,17 @@ def test_the_two_nodes_drive_each_other(monkeypatch):
     before = len(network.sent["drive"])
     network.run(0.3)
     assert len(network.sent["drive"]) == before
-    for each in made:
-        monkeypatch.delitem(sys.modules, each.__name__)
+    for module in modules:
+        monkeypatch.delitem(sys.modules, module.__name__)
 
 
 def test_nothing_moves_before_there_is_a_path_and_an_odometry(Follower):
-    made = Follower()
-    assert made.tick(0.0).stopping == "no path yet"
-    made.path(path(STRAIGHT))
-    command = made.tick(0.05)
+    node = Follower()
+    assert node.tick(0.0).stopping == "no path yet"
+    node.path(path(STRAIGHT))
+    command = node.tick(0.05)
     assert (command.speed, command.stopping) == (0.0, "no odometry yet")
-    assert made.diagnosis(0.05)[0] == follower.ERROR
+    assert node.diagnosis(0.05)[0] == follower.ERROR
 
 
 def test_a_path_in_another_frame_stops_the_car(driving):
@@ -482,12 +484,14 @@ def test_a_path_in_another_frame_stops_the_car(driving):
 
 def test_the_cpp_node_has_parameters_of_the_file_with_their_defaults():
     yaml = pytest.importorskip("yaml")
-    held = yaml.safe_load((PACKAGE / "config" / "follower.yaml").read_text())["adaptrack_follower"]["ros__parameters"]
+    defaults = yaml.safe_load((PACKAGE / "config" / "follower.yaml").read_text())["adaptrack_follower"][
+        "ros__parameters"
+    ]
     node = (CPP / "src" / "follower_node.cpp").read_text()
     header = (CPP / "include" / "adaptrack_ros_cpp" / "follower.hpp").read_text()
     header = header[header.index("struct Parameters") : header.index("struct Sample")]
     declared = set(re.findall(r'declare_parameter\("(\w+)"', node))
-    assert declared - held.keys() == {"constants"}
-    assert held.keys() - declared == {"vehicle", "profile", "command_delay", "oldest_sample"}  # of the export
+    assert declared - defaults.keys() == {"constants"}
+    assert defaults.keys() - declared == {"vehicle", "profile", "command_delay", "oldest_sample"}  # of the export
     for name, value in re.findall(r"^    [\w:]+ (\w+) = (.+?);", header, re.MULTILINE):
-        assert yaml.safe_load(value) == held[name], name
+        assert yaml.safe_load(value) == defaults[name], name

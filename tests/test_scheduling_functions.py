@@ -7,7 +7,6 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import (
-    VARIABLES,
     Function,
     Learned,
     Number,
@@ -59,10 +58,10 @@ def test_a_kind_of_ones_own_is_driven_saved_and_loaded(tmp_path):
             return Table((np.array(self.x),), np.array(self.y)).pack()
 
         def shifted(self, by):
-            return Ramp(self.x, tuple(each + by for each in self.y))
+            return Ramp(self.x, tuple(number + by for number in self.y))
 
         def blended(self, share, value):
-            return Ramp(self.x, tuple((1.0 - share) * each + share * value for each in self.y))
+            return Ramp(self.x, tuple((1.0 - share) * number + share * value for number in self.y))
 
         def save(self):
             return {"x": self.x, "y": self.y}
@@ -83,43 +82,11 @@ def test_a_kind_of_ones_own_is_driven_saved_and_loaded(tmp_path):
 
 
 @every_kind
-@pytest.mark.parametrize("by", [3.0, -1.5, 0.15, 0.0])
-def test_a_function_is_shifted_by_exactly_that_much_everywhere(kind, by, rng):
-    function = functions(rng)[kind]
-    moved = function.shifted(by)
-    x = rng.normal(size=(50, 2)) * 3.0
-    np.testing.assert_allclose(moved.predict(x) - function.predict(x), by, rtol=0, atol=1e-9)
-
-
-@every_kind
-def test_the_compiled_schedule_is_shifted_too_each_entry_by_its_own(kind, rng):
-    """Horizons by whole numbers, so that rounding does not hide it; R by decades."""
-    raw = functions(rng)[kind]
-    rows = np.zeros((20, len(VARIABLES)))
-    rows[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
-    wide = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
-
-    def batch(by):
-        low = 100.0 - float(raw.predict(rows[:, :2]).min())  # well within the bounds, and Nc below Np
-        moved = {
-            "Np": raw.shifted(low + 300.0 + by[0]),
-            "Nc": raw.shifted(low + by[1]),
-            "log10_ratio": raw.shifted(by[2]),
-        }
-        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, wide).batch(rows)
-
-    base, moved = batch((0.0, 0.0, 0.0)), batch((3.0, -2.0, 0.15))
-    assert base[:, :2].min() > 1.0
-    assert (base[:, 1] < base[:, 0]).all()
-    np.testing.assert_array_equal((moved - base)[:, :3], np.tile([3.0, -2.0, 0.0], (20, 1)))
-    np.testing.assert_allclose(np.log10(moved[:, 3] / base[:, 3]), 0.15, rtol=0, atol=1e-9)
-
-
-@every_kind
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_function_goes_a_share_of_the_way_to_a_value_everywhere(kind, share, rng):
-    function = functions(rng)[kind]
-    moved = function.blended(share, 7.0)
-    x = rng.normal(size=(50, 2)) * 3.0
+def test_a_function_is_shifted_by_a_number_or_goes_a_share_of_the_way_to_one_everywhere(kind, rng):
+    function, x = functions(rng)[kind], rng.normal(size=(50, 2)) * 3.0
     before = function.predict(x)
-    np.testing.assert_allclose(moved.predict(x), before + share * (7.0 - before), rtol=1e-12, atol=1e-9)
+    for by in (3.0, -1.5, 0.15, 0.0):
+        np.testing.assert_allclose(function.shifted(by).predict(x) - before, by, rtol=0, atol=1e-9)
+    for share in (0.0, 0.3, 1.0):
+        expected = before + share * (7.0 - before)
+        np.testing.assert_allclose(function.blended(share, 7.0).predict(x), expected, rtol=1e-12, atol=1e-9)

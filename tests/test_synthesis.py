@@ -16,12 +16,12 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers.learned import Learning
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPCSettings
-from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.estimators import learning
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, informed, laws, published, tuning
 from adaptrack.core.synthesis.rows import row_of
-from by_kernels import CASES, UNTOUCHED, ordered, prepared
+from by_kernels import CASES, UNTOUCHED, make_order, make_parts
 from programs import find_program
 
 SEDAN = load_vehicle("midsize-sedan")
@@ -45,70 +45,70 @@ def test_numbers_are_rounded_as_they_are_printed():
 
 
 # -- a car from its mass and wheelbase --------------------------------------------------------------------------------
-def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **known):
+def complete_car(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **values):
     """Status, car and how well it is known."""
-    made, within = row_of(car.CarRow, mass=mass, **known), row_of(car.KnownWithinRow)
-    return car.complete_car(wheelbase, load, truck, made, within), made, within
+    row, within = row_of(car.CarRow, mass=mass, **values), row_of(car.KnownWithinRow)
+    return car.complete_car(wheelbase, load, truck, row, within), row, within
 
 
 @pytest.mark.parametrize(("mass", "wheelbase", "truck"), [(700.0, 1.9, 0), (1500.0, 2.7, 0), (3000.0, 4.4, 1)])
 def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, truck):
     """Dynamic index, cornering coefficients, balance of loads: as published, to the digits that are printed."""
-    status, made, within = completed(mass, wheelbase, truck=truck)
+    status, row, within = complete_car(mass, wheelbase, truck=truck)
     assert status == car.OK
-    assert made.lf + made.lr == pytest.approx(wheelbase, abs=1e-5)
-    assert made.yaw_inertia / (mass * made.lf * made.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
-    front, rear = mass * GRAVITY * made.lr / wheelbase, mass * GRAVITY * made.lf / wheelbase
-    assert (2 * made.stiffness_front / front, 2 * made.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
+    assert row.lf + row.lr == pytest.approx(wheelbase, abs=1e-5)
+    assert row.yaw_inertia / (mass * row.lf * row.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
+    front, rear = mass * GRAVITY * row.lr / wheelbase, mass * GRAVITY * row.lf / wheelbase
+    assert (2 * row.stiffness_front / front, 2 * row.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
     assert within.stiffness_front == within.stiffness_rear == 1.62
-    assert not any(math.isnan(made[name]) for name in car.CarRow._fields)
+    assert not any(math.isnan(row[name]) for name in car.CarRow._fields)
 
 
 def test_what_is_given_of_a_car_stays_and_has_no_spread():
-    known = {"lf": 1.1, "stiffness_rear": 7e4, "cg_height": 0.5}
-    _, made, within = completed(**known)
-    assert {name: made[name] for name in known} == known
-    assert made.lr == 1.6
-    assert all(math.isnan(within[name]) for name in known)
+    values = {"lf": 1.1, "stiffness_rear": 7e4, "cg_height": 0.5}
+    _, row, within = complete_car(**values)
+    assert {name: row[name] for name in values} == values
+    assert row.lr == 1.6
+    assert all(math.isnan(within[name]) for name in values)
     assert not math.isnan(within.stiffness_front)
 
 
 def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
-    for given, status in [
+    for values, status in [
         ({"mass": 599.0}, car.MASS_OUTSIDE), ({"mass": math.nan}, car.MASS_OUTSIDE),
         ({"wheelbase": 9.0}, car.WHEELBASE_OUTSIDE), ({"load": 2000.0}, car.TOO_MUCH_LOAD),
         ({"lf": 1.0, "lr": 1.0}, car.AXLES_DISAGREE), ({"lf": 3.0}, car.AXLES_DISAGREE),
     ]:  # fmt: skip
-        found, made, within = completed(**given)
-        assert found == status, given
-        assert {name for name in car.CarRow._fields if not math.isnan(made[name])} <= {"mass", "lf", "lr"}
-        assert within.is_given == 0
+        code, row, within = complete_car(**values)
+        assert code == status, values
+        assert {name for name in car.CarRow._fields if not math.isnan(row[name])} <= {"mass", "lf", "lr"}
+        assert within.said == 0
 
 
 # -- belief -----------------------------------------------------------------------------------------------------------
 def test_each_number_of_the_steering_is_from_the_first_that_says_it():
-    given, own, actuator = (
+    arguments, file_steering, actuator = (
         row_of(car.SteeringRow, lag=0.1), row_of(car.SteeringRow, lag=0.2, dead_time=0.07),
         row_of(car.SteeringRow, lag=0.3, dead_time=0.3, rate=math.inf),
     )  # fmt: skip
-    found = row_of(belief.BeliefRow)
-    belief.believe_steering(given, own, actuator, 0.05, found)
-    assert (found.lag, found.dead_time, found.computation, found.rate) == (0.1, 0.07, 0.05, math.inf)
-    assert (found.lag_source, found.dead_time_source, found.rate_source, found.limit_source) == (
+    result = row_of(belief.BeliefRow)
+    belief.believe_steering(arguments, file_steering, actuator, 0.05, result)
+    assert (result.lag, result.dead_time, result.computation, result.rate) == (0.1, 0.07, 0.05, math.inf)
+    assert (result.lag_source, result.dead_time_source, result.rate_source, result.limit_source) == (
         belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.SLOW_ASSUMED,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("computation", [0.0, 0.05, 0.1])
-@pytest.mark.parametrize("said", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
-def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones(said, computation):
-    found = row_of(belief.BeliefRow)
+@pytest.mark.parametrize("steering", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
+def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones(steering, computation):
+    result = row_of(belief.BeliefRow)
     belief.believe_steering(
-        row_of(car.SteeringRow, **said), row_of(car.SteeringRow), row_of(car.SteeringRow), computation, found
+        row_of(car.SteeringRow, **steering), row_of(car.SteeringRow), row_of(car.SteeringRow), computation, result
     )
-    longest = max(0.4 - min(computation, 0.05) - 1e-9, sum(said.values()))
-    assert longest <= found.lag + found.dead_time <= longest + 0.05
-    assert found.lag > 0.0
+    longest = max(0.4 - min(computation, 0.05) - 1e-9, sum(steering.values()))
+    assert longest <= result.lag + result.dead_time <= longest + 0.05
+    assert result.lag > 0.0
 
 
 def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
@@ -126,15 +126,15 @@ def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
 # -- tuning -----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("preview", [0, 1])
 def test_horizons_and_weight_are_times_and_so_do_not_know_the_control_period(preview):
-    found = {}
+    results = {}
     for period in (0.025, 0.05, 0.1):
         world = row_of(tuning.ControllerWorld, period=period, preview=preview, move_weight=0.0, noise_vy=0.1)
         out = np.zeros(4)
         tuning.tune_informed(world, 1.0, 1000, 200, out)
         Np, Nc, Q, R = out
-        found[period] = (Np * period, Nc * period, Q, R * period**2)
-    assert found[0.025] == pytest.approx(found[0.05], rel=1e-5)
-    assert found[0.1] == pytest.approx(found[0.05], rel=1e-5)
+        results[period] = (Np * period, Nc * period, Q, R * period**2)
+    assert results[0.025] == pytest.approx(results[0.05], rel=1e-5)
+    assert results[0.1] == pytest.approx(results[0.05], rel=1e-5)
 
 
 def test_horizons_stay_within_their_bounds():
@@ -147,19 +147,19 @@ def test_horizons_stay_within_their_bounds():
 # -- filter -----------------------------------------------------------------------------------------------------------
 def test_a_dead_time_is_whole_periods_and_a_share():
     for time, period in ((0.0, 0.05), (0.15, 0.05), (0.17, 0.05), (0.3, 0.1), (1.0, 0.03)):
-        whole, share = filter.split_periods(time, period)
-        assert isinstance(whole, int)
+        periods, share = filter.in_periods(time, period)
+        assert isinstance(periods, int)
         assert 0.0 <= share < 1.0
-        assert (whole + share) * period == pytest.approx(time, abs=1e-9)
+        assert (periods + share) * period == pytest.approx(time, abs=1e-9)
 
 
 def test_sensors_that_are_off_or_too_good_are_left_out():
-    def noise(**told):
-        found = row_of(filter.Noise)
+    def noise(**sensors):
+        result = row_of(filter.Noise)
         filter.sensor_noise(
-            row_of(tuning.ControllerWorld, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **told}), found
+            row_of(tuning.ControllerWorld, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **sensors}), result
         )
-        return found
+        return result
 
     assert noise(noise_wheel_angle=0.01).wheel_angle == 0.01
     assert noise(noise_wheel_angle=0.01, bias_wheel_angle=0.02).wheel_angle == math.inf
@@ -172,18 +172,25 @@ def test_sensors_that_are_off_or_too_good_are_left_out():
 @pytest.mark.parametrize("counts", [(1, 1), (2, 4), (3, 2)], ids=str)
 def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
     """Mean and variance of what is believed are those of the filters', and the delay's that of the sum."""
-    own = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
-    memory, n = own.fresh(), counts[0] * counts[1]
-    each = [learning.hypothesis(i, own.commands, memory) for i in range(n)]
-    pairs = np.array([[one.x[learning.STEERING_LAG], one.x[learning.DEAD_TIME] - own.computation] for one in each])
-    grains = np.array([one.covariance[learning.STEERING_LAG, learning.STEERING_LAG] for one in each])
+    learner = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
+    memory, n = learner.fresh(), counts[0] * counts[1]
+    hypotheses = [learning.hypothesis(i, learner.kept, memory) for i in range(n)]
+    pairs = np.array(
+        [
+            [hypothesis.x[learning.STEERING_LAG], hypothesis.x[learning.DEAD_TIME] - learner.computation]
+            for hypothesis in hypotheses
+        ]
+    )
+    grains = np.array(
+        [hypothesis.covariance[learning.STEERING_LAG, learning.STEERING_LAG] for hypothesis in hypotheses]
+    )
     believed = learning.memory_of(memory, 0).beliefs
     assert (believed.belief_lag, believed.belief_dead_time) == pytest.approx(tuple(pairs.mean(axis=0)))
     assert believed.belief_lag_sigma**2 == pytest.approx(pairs[:, 0].var() + grains.mean())
     assert believed.belief_delay_sigma**2 == pytest.approx(
-        pairs.sum(axis=1).var() + grains.mean() + each[0].covariance[learning.DEAD_TIME, learning.DEAD_TIME]
+        pairs.sum(axis=1).var() + grains.mean() + hypotheses[0].covariance[learning.DEAD_TIME, learning.DEAD_TIME]
     )
-    (least, most), (soon, late) = own.ranges
+    (least, most), (soon, late) = learner.ranges
     assert ((pairs >= (least, soon)) & (pairs <= (most, late))).all()
     assert believed.used_lag >= believed.belief_lag
     assert believed.used_dead_time >= believed.belief_dead_time
@@ -191,8 +198,8 @@ def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
 
 def test_what_comes_and_goes_keeps_its_spread():
     """The variance of a first-order Gauss-Markov process stays what it is: drift/(1 - left^2)."""
-    own = at.MPC(SEDAN, learning=Learning(), period=0.02).learner
-    p = learning.parameters_of(own.parameters(), 0)
+    learner = at.MPC(SEDAN, learning=Learning(), period=0.02).learner
+    p = learning.parameters_of(learner.parameters(), 0)
     assert math.sqrt(p.drift_bank / (1.0 - p.bank_left**2)) == pytest.approx(p.method.bank, rel=1e-3)
     friction_sigma = math.sqrt(p.drift_friction / (1.0 - p.friction_left**2))
     assert friction_sigma == pytest.approx(p.method.friction_sigma, rel=1e-3)
@@ -207,15 +214,15 @@ def test_the_front_tyres_slip_by_their_share_of_the_weight():
 
 def test_the_sampled_error_model_is_the_matrix_exponential():
     for speed in (1.0, 7.0, 60.0):
-        a, b, whole = np.zeros((4, 4)), np.zeros(4), np.zeros((5, 5))
+        a, b, block = np.zeros((4, 4)), np.zeros(4), np.zeros((5, 5))
         laws.lqr_error_model(SEDAN.numbers, speed, a, b)
-        whole[:4, :4], whole[:4, 4] = a, b
-        expected = expm(whole * 0.05)
+        block[:4, :4], block[:4, 4] = a, b
+        expected = expm(block * 0.05)
         laws.sampled_error_model(SEDAN.numbers, 0.05, speed, a, b)
         np.testing.assert_allclose(np.column_stack([a, b]), expected[:4], rtol=1e-12, atol=1e-14)
 
 
-def solved(A, B, Q):
+def solve_riccati(A, B, Q):
     """P by the kernel, in memory that is longer than it needs."""
     n = len(B)
     P, work = np.full((n, n), np.nan), np.full(7 * n * n + 3, UNTOUCHED)
@@ -231,7 +238,7 @@ def test_a_riccati_equation_is_solved_as_by_scipy(n):
     for _ in range(10):
         A, B, root = rng.normal(size=(n, n)), rng.normal(size=n), rng.normal(size=(n, n))
         Q = root @ root.T
-        doublings, P = solved(A, B, Q)
+        doublings, P = solve_riccati(A, B, Q)
         assert 0 < doublings < 20
         scale = np.abs(P).max()
         gain = (B @ P @ A) / (1.0 + B @ P @ B)
@@ -240,20 +247,20 @@ def test_a_riccati_equation_is_solved_as_by_scipy(n):
         np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-10 * scale)
         np.testing.assert_allclose(P, solve_discrete_are(A, B[:, None], Q, np.eye(1)), rtol=0, atol=1e-7 * scale)
         assert max(abs(np.linalg.eigvals(A - np.outer(B, gain)))) < 1.0
-        found = np.zeros(n)
-        laws.lqr_feedback(A, B, P, found)
-        np.testing.assert_allclose(found, gain, rtol=1e-12, atol=1e-14)
+        solution = np.zeros(n)
+        laws.lqr_feedback(A, B, P, solution)
+        np.testing.assert_allclose(solution, gain, rtol=1e-12, atol=1e-14)
 
 
 def test_a_system_that_cannot_be_steered_is_a_status():
-    assert solved(np.array([[2.0]]), np.array([0.0]), np.eye(1))[0] == 0
-    assert solved(np.array([[math.nan]]), np.array([1.0]), np.eye(1))[0] == 0
+    assert solve_riccati(np.array([[2.0]]), np.array([0.0]), np.eye(1))[0] == 0
+    assert solve_riccati(np.array([[math.nan]]), np.array([1.0]), np.eye(1))[0] == 0
 
 
 def test_the_gains_of_the_lqr_are_those_of_scipy():
     vehicle = load_vehicle("van")
-    own = at.LQR(vehicle, q_e=2.0, q_heading=50.0, r=800.0, period=0.05)
-    grid = own.parameters()[len(laws.lqr.PARAMETERS) :].reshape(
+    lqr = at.LQR(vehicle, q_e=2.0, q_heading=50.0, r=800.0, period=0.05)
+    grid = lqr.parameters()[len(laws.lqr.PARAMETERS) :].reshape(
         laws.GAIN_SPEED_COUNT, laws.GAIN_WEIGHTS, laws.GAIN_WEIGHTS, 4
     )
     factors = 10.0 ** np.linspace(-2.0, 2.0, laws.GAIN_WEIGHTS)
@@ -266,39 +273,33 @@ def test_the_gains_of_the_lqr_are_those_of_scipy():
 
 
 # -- all of an MPC at once --------------------------------------------------------------------------------------------
-def made(vehicle, options):
+def constants_by_kernels(vehicle, options):
     """What the filter remembers, and all numbers of an MPC, by kernels alone."""
-    order, parts, found = prepared(vehicle, options)
+    order, parts, constants = make_parts(vehicle, options)
     assert informed.informed_parts(order, parts) == informed.OK
-    assert informed.informed_constants(order, parts, found) == informed.OK
+    assert informed.informed_constants(order, parts, constants) == informed.OK
     for field in ("estimator", "model", "turning", "tuning"):
-        shorter = found._replace(**{field: getattr(found, field)[:-1].copy()})
+        shorter = constants._replace(**{field: getattr(constants, field)[:-1].copy()})
         assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
-    return informed.informed_sizes(order, parts)[1], found
+    return informed.informed_sizes(order, parts)[1], constants
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_numbers_of_an_mpc_are_all_there_without_python(case):
     """Every word of each array is written, and is that of the controller that Python makes."""
     vehicle = load_vehicle("van")
-    remembered, found = made(vehicle, CASES[case])
+    remembered, constants = constants_by_kernels(vehicle, CASES[case])
     mpc = at.MPC(vehicle, **CASES[case])
-    own = mpc.batch(1, mpc.settings(), curved=True)
-    expected = (mpc.tuning.as_array(), own.parameters, own.states, own.feed.turning, own.informed.estimator,
-                own.informed.learner, own.informed.fresh)  # fmt: skip
-    for field, one, other in zip(found._fields[1:], found[1:], expected, strict=True):
-        assert one.tobytes() == np.ascontiguousarray(other).tobytes(), field
-    assert own.informed.estimates.size == remembered
-    settings = found.settings[0]
+    batch = mpc.batch(1, mpc.settings(), curved=True)
+    expected = (mpc.tuning.as_array(), batch.parameters, batch.states, batch.feed.turning, batch.informed.estimator,
+                batch.informed.learner, batch.informed.fresh)  # fmt: skip
+    for field, first, other in zip(constants._fields[1:], constants[1:], expected, strict=True):
+        assert first.tobytes() == np.ascontiguousarray(other).tobytes(), field
+    assert batch.informed.estimates.size == remembered
+    settings = constants.settings[0]
     for field in ("period", "move_min", "move_max", "angle_min", "angle_max", "ahead", "error_max", "preview", "delay",
                   "informed", "learns"):  # fmt: skip
-        assert settings[field] == getattr(own.settings, field), field
-
-
-def test_a_lag_of_zero_leaves_the_wheel_angle_out():
-    _, found = made(SEDAN, CASES["without lag"])
-    assert found.states.tolist() == [0, 1, 2, 3]
-    assert kalman.parameters_of(found.estimator, 0).variance[4] == math.inf
+        assert settings[field] == getattr(batch.settings, field), field
 
 
 WRONG = [
@@ -314,7 +315,7 @@ WRONG = [
 
 def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written():
     for section, name, value, status in WRONG:
-        order, parts = ordered(SEDAN, CASES["unsure"])
+        order, parts = make_order(SEDAN, CASES["unsure"])
         before = parts.tobytes()
         order[section][name] = value
         assert informed.informed_parts(order, parts) == status, (section, name)
@@ -324,20 +325,20 @@ def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written():
 def test_the_papers_mpc_has_the_numbers_of_its_table():
     vehicle, room = load_vehicle("paper"), np.full(7, UNTOUCHED)
     nothing = np.zeros(0)
-    found = informed.Constants(
+    constants = informed.Constants(
         MPCSettings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing
     )
-    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.OK
-    own = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
-    assert found.tuning.tolist() == [35, 8, 10.0, 0.01]
-    assert found.model[:6].tobytes() == own.parameters.tobytes()
-    assert found.model[6] == UNTOUCHED
-    assert found.states.tolist() == own.states.tolist()
-    settings = found.settings[0]
+    assert published.published_constants(vehicle.numbers, 0.1, constants) == informed.OK
+    batch = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
+    assert constants.tuning.tolist() == [35, 8, 10.0, 0.01]
+    assert constants.model[:6].tobytes() == batch.parameters.tobytes()
+    assert constants.model[6] == UNTOUCHED
+    assert constants.states.tolist() == batch.states.tolist()
+    settings = constants.settings[0]
     assert (settings.move_max, settings.angle_max) == pytest.approx((math.radians(15.0), math.radians(30.0)))
     assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
-    assert published.published_constants(row_of(car.CarRow), 0.1, found) == informed.CAR_WRONG
-    assert published.published_constants(vehicle.numbers, math.nan, found) == informed.LOOP_WRONG
+    assert published.published_constants(row_of(car.CarRow), 0.1, constants) == informed.CAR_WRONG
+    assert published.published_constants(vehicle.numbers, math.nan, constants) == informed.LOOP_WRONG
 
 
 # -- without Python ---------------------------------------------------------------------------------------------------
@@ -345,28 +346,21 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
 def test_a_program_in_c_makes_the_same_controller(tmp_path):
     """From mass and wheelbase alone, by the header's names; it is compiled against the library as it is."""
     compiler = find_program("gcc")
-    found = library.loaded()
-    if not isinstance(found, library.Library) or found.edited:
+    loaded = library.loaded()
+    if not isinstance(loaded, library.Library) or loaded.edited:
         pytest.skip("needs the library of these sources")
     program = Path(__file__).parent / "processors" / "make.c"
-    command = [
-        compiler,
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        f"-I{library.BUILT_FOLDER}",
-        str(program),
-        str(found.path),
-    ]
-    subprocess.run([*command, "-o", str(tmp_path / "make"), "-lm"], check=True)
+    files = f"-I{library.BUILT_FOLDER}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
+    subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm"], check=True)
     subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
-    told = np.fromfile(tmp_path / "answers")
+    answers = np.fromfile(tmp_path / "answers")
 
     vehicle = at.vehicle_from_data_sheet("mine", 1500.0, 2.7)
     mpc = at.MPC(vehicle)
-    own = mpc.batch(1, mpc.settings(), curved=True)
-    estimator, numbers = own.informed.estimator, own.informed.learner
-    expected = [mpc.tuning.as_array(), own.parameters, own.feed.turning, np.pad(estimator, (0, 100 - estimator.size)),
-                np.pad(numbers, (0, 120 - numbers.size)), own.informed.fresh]  # fmt: skip
-    assert told.tobytes() == np.concatenate(expected).tobytes()
+    batch = mpc.batch(1, mpc.settings(), curved=True)
+    estimator, learner = (
+        np.pad(row, (0, size - row.size))
+        for row, size in ((batch.informed.estimator, 100), (batch.informed.learner, 120))
+    )
+    expected = [mpc.tuning.as_array(), batch.parameters, batch.feed.turning, estimator, learner, batch.informed.fresh]
+    assert answers.tobytes() == np.concatenate(expected).tobytes()

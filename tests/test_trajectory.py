@@ -1,6 +1,5 @@
 """A trajectory is checked at the door, says its errors with a sign, and survives its file bit for bit."""
 
-import dataclasses
 import json
 import os
 from datetime import UTC, datetime
@@ -14,13 +13,13 @@ from hypothesis import strategies as st
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Origin, Trajectory, provenance
+from adaptrack.drive.trajectory import COLUMNS, Origin, Trajectory, provenance
 
 
 def record(n=8, period=0.1, **changes):
     """A car that stands on its reference; `changes` replace arrays."""
     arrays = {}
-    for column in TRAJECTORY_COLUMNS:
+    for column in COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
         arrays[column.name] = np.zeros(shape, dtype=column.dtype)
     arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
@@ -29,10 +28,10 @@ def record(n=8, period=0.1, **changes):
 
 def named(n):
     """What an MPC adds: its tuning and its diagnostics, all zero."""
-    whole, real = np.zeros(n, np.int64), np.zeros(n)
+    integers, real = np.zeros(n, np.int64), np.zeros(n)
     return {
-        "tuning": {"Np": whole, "Nc": whole, "Q": real, "R": real},
-        "diagnostics": {"qp_status": whole, "qp_iterations": whole, "qp_residual": real, "at_limit": whole},
+        "tuning": {"Np": integers, "Nc": integers, "Q": real, "R": real},
+        "diagnostics": {"qp_status": integers, "qp_iterations": integers, "qp_residual": real, "at_limit": integers},
         "units": {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"},
     }
 
@@ -41,7 +40,7 @@ def wild(n=50, seed=1):
     """Every column with numbers of its own, NaN and infinity among them."""
     rng = np.random.default_rng(seed)
     arrays = {}
-    for column in TRAJECTORY_COLUMNS:
+    for column in COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
         top = 20 if column.kind == "real" else 15
         arrays[column.name] = (rng.normal(size=shape) * 10.0 ** rng.integers(-20, top, shape)).astype(column.dtype)
@@ -60,12 +59,6 @@ def wild(n=50, seed=1):
         failed_at=5.1,
         meta={"scenario": "step", "limits": (1, 2.5), "µ": None},
     )
-
-
-def test_the_column_list_names_every_array_of_the_dataclass():
-    fields = [field.name for field in dataclasses.fields(Trajectory)]
-    more = ["period", "tuning", "diagnostics", "road", "units", "failed", "failed_at", "meta"]
-    assert fields == [column.name for column in TRAJECTORY_COLUMNS] + more
 
 
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
@@ -92,9 +85,9 @@ def test_any_parquet_reader_finds_units_and_versions(tmp_path):
     assert schema.field("yaw_rate").metadata[b"unit"] == b"rad/s"
     assert schema.field("friction_rear_left").metadata[b"unit"] == b"-"
     assert schema.field("tuning.Q").metadata[b"unit"] == b"1/m^2"
-    about = json.loads(schema.metadata[b"about"])
-    assert about["adaptrack"] == __version__
-    assert about["period"] == 0.1
+    metadata = json.loads(schema.metadata[b"about"])
+    assert metadata["adaptrack"] == __version__
+    assert metadata["period"] == 0.1
 
 
 def test_error_is_positive_to_the_left_of_the_reference():
@@ -123,7 +116,7 @@ def test_between_keeps_times_and_cuts_every_array():
     run = wild(n=50)
     part = run.between(3.5, 4.5)
     assert (part.t[0], len(part)) == (pytest.approx(3.5), 20)
-    assert all(len(getattr(part, column.name)) == 20 for column in TRAJECTORY_COLUMNS)
+    assert all(len(getattr(part, column.name)) == 20 for column in COLUMNS)
     assert {len(values) for values in part.columns().values()} == {20}
     assert part.meta == run.meta
     assert part.failed is None  # it failed later
@@ -173,60 +166,42 @@ def test_what_does_not_fit_is_refused_with_the_name_of_the_array(changes, compla
         record(**changes)
 
 
-def test_a_missing_file_a_folder_and_a_text_file_are_refused(tmp_path):
+def test_what_is_no_file_of_a_trajectory_is_refused(tmp_path):
     (tmp_path / "text.parquet").write_text("t,Y\n0,1\n")
     (tmp_path / "empty.parquet").write_bytes(b"")
+    pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "foreign.parquet")
     for name, complaint in (
         ("none.parquet", "No such file"),
         ("", "Is a directory"),
         ("text.parquet", "not a Parquet file"),
         ("empty.parquet", "not a Parquet file"),
+        ("foreign.parquet", "holds no trajectory, but a table of another program"),
     ):
         with pytest.raises(StorageError, match=complaint):
             Trajectory.load(tmp_path / name)
 
 
-def test_a_foreign_parquet_file_is_refused(tmp_path):
-    pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "foreign.parquet")
-    with pytest.raises(StorageError, match="holds no trajectory, but a table of another program"):
-        Trajectory.load(tmp_path / "foreign.parquet")
-
-
-def rewritten(path, table=None, **entries):
-    """The file at `path` with other schema entries, as another program might leave it."""
-    table = pq.read_table(path) if table is None else table
-    stored = dict(table.schema.metadata) | {key.encode(): value.encode() for key, value in entries.items()}
-    pq.write_table(table.replace_schema_metadata(stored), path)
-
-
-def test_another_format_version_is_refused_with_both_versions(tmp_path):
+def test_an_edited_file_and_one_of_another_version_are_refused_with_the_reason(tmp_path):
     path = tmp_path / "run.parquet"
     record().save(path)
-    rewritten(path, format_version="7", adaptrack="9.9.9")
-    with pytest.raises(
-        StorageError, match=r"9\.9\.9 in format version 7, this adaptrack reads version 2: run the simulation"
-    ):
-        Trajectory.load(path)
-
-
-def test_an_edited_file_is_refused_with_the_reason(tmp_path):
-    path = tmp_path / "run.parquet"
-    record().save(path)
-    whole = pq.read_table(path)
-    about = whole.schema.metadata[b"about"].decode()
-    holes = whole.set_column(2, "Y", pa.array([None] + [0.0] * 7))
+    stored = pq.read_table(path)
+    text = stored.schema.metadata[b"about"].decode()
+    holes = stored.set_column(2, "Y", pa.array([None] + [0.0] * 7)).replace_schema_metadata(stored.schema.metadata)
+    other_period, other_seed = (
+        text.replace('"period": 0.1', '"period": 0.2'),
+        text.replace('"meta": {', '"meta": {"seed": 1'),
+    )
+    versions = r"9\.9\.9 in format version 7, this adaptrack reads version 2: run the simulation"
     for table, entries, complaint in (
-        (whole.drop_columns(["psi"]), {}, "no column 'psi'"),
-        (holes.replace_schema_metadata(whole.schema.metadata), {}, "1 missing values in column 'Y'"),
-        (whole, {"about": "{"}, "damaged, or edited"),
-        (whole, {"about": about.replace('"period": 0.1', '"period": 0.2')}, "the checksum of its content does not fit"),
-        (
-            whole,
-            {"about": about.replace('"meta": {', '"meta": {"seed": 1')},
-            "the checksum of its content does not fit",
-        ),
+        (stored.drop_columns(["psi"]), {}, "no column 'psi'"),
+        (holes, {}, "1 missing values in column 'Y'"),
+        (stored, {"about": "{"}, "damaged, or edited"),
+        (stored, {"about": other_period}, "the checksum of its content does not fit"),
+        (stored, {"about": other_seed}, "the checksum of its content does not fit"),
+        (stored, {"format_version": "7", "adaptrack": "9.9.9"}, versions),
     ):
-        rewritten(path, table, **entries)
+        metadata = dict(table.schema.metadata) | {key.encode(): value.encode() for key, value in entries.items()}
+        pq.write_table(table.replace_schema_metadata(metadata), path)
         with pytest.raises(StorageError, match=complaint):
             Trajectory.load(path)
 
@@ -265,30 +240,18 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatc
 
 def test_provenance_names_the_software_and_takes_the_callers_clock():
     meta = provenance(
-        Origin(
-            scenario={"name": "step", "duration": 18.0},
-            plant="dual-track",
-            tyre="magic-formula",
-            vehicle="paper",
-            profile="paper",
-            seed=0,
-            preview=False,
-            controller="standard",
-            tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
-        ),
+        Origin(scenario={"name": "step", "duration": 18.0}, plant="dual-track", tyre="magic-formula", vehicle="paper",
+               profile="paper", seed=0, preview=False, controller="standard",
+               tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}),
         datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
         moves="pulses",
-    )
+    )  # fmt: skip
     run = record(meta=meta)
     assert run.meta["created"] == "2026-01-02T03:04:00+00:00"
     assert run.meta["versions"]["adaptrack"] == __version__
     assert {"python", "numpy", "kernels"} < set(run.meta["versions"])
-    assert [run.name_of(entry) for entry in ("scenario", "plant", "moves", "unknown")] == [
-        "step",
-        "dual-track",
-        "pulses",
-        "",
-    ]
+    names = [run.name_of(entry) for entry in ("scenario", "plant", "moves", "unknown")]
+    assert names == ["step", "dual-track", "pulses", ""]
     assert "step, standard" in repr(run)
 
 

@@ -25,9 +25,9 @@ def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant():
     assert car.car_begin(record) == contract.OK
     signals = loop.signals
     for k in range(12):
-        now = loop.sense()
+        sample = loop.sense()
         measured = values[car.CAR_VALUE.measured_heading_error], values[car.CAR_VALUE.measured_offset]
-        assert np.array_equal(measured, (now.measured[1], now.measured[3]), equal_nan=True)
+        assert np.array_equal(measured, (sample.measured[1], sample.measured[3]), equal_nan=True)
         values[car.CAR_VALUE.command] = 0.01 * k
         values[car.CAR_VALUE.speed], values[car.CAR_VALUE.speed_ahead] = signals.speed[k : k + 2]
         values[car.CAR_VALUE.friction_front_left : car.CAR_VALUE.wind_x] = signals.friction[k]
@@ -53,8 +53,8 @@ def test_each_value_says_what_it_is_and_in_which_unit():
     road = at.load_road("town", seed=1, length=150.0)
     units = car_unit(PLANT), controller_unit(at.Stanley(CAR, period=0.05), road)
     for unit, kernel in zip(units, (car, controller), strict=True):
-        assert tuple(each.name for each in unit.values) == kernel.VALUE._fields
-        assert all(len(each.description) > 8 for each in unit.values)
-        plain = {each.name for each in unit.values if not each.unit and each.type == 0}
+        assert tuple(value.name for value in unit.values) == kernel.VALUE._fields
+        assert all(len(value.description) > 8 for value in unit.values)
+        plain = {value.name for value in unit.values if not value.unit and value.type == 0}
         assert all(name.startswith("friction") for name in plain)
-        assert {each.role for each in unit.values} == {CONSTANT_VALUE, PARAMETER, INPUT_VALUE, 0}
+        assert {value.role for value in unit.values} == {CONSTANT_VALUE, PARAMETER, INPUT_VALUE, 0}

@@ -52,7 +52,7 @@ def _every_operation(A, out):
 def test_each_operation_equals_numpy(rng):
     A = rng.normal(size=(8, 16))
     out = np.zeros((17, VECTOR_WIDTH))
-    total, largest, smallest, found, absent = _every_operation(A, out)
+    total, largest, smallest, finite, absent = _every_operation(A, out)
     a, b, c = A[:3, :VECTOR_WIDTH]
     entry = np.arange(VECTOR_WIDTH)
     expected = [
@@ -64,7 +64,7 @@ def test_each_operation_equals_numpy(rng):
     ]  # fmt: skip
     np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-14)
     assert math.isclose(total, a.sum(), abs_tol=1e-14)
-    assert (largest, smallest, found, absent) == (a.max(), a.min(), 5, VECTOR_WIDTH)
+    assert (largest, smallest, finite, absent) == (a.max(), a.min(), 5, VECTOR_WIDTH)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -1,23 +1,16 @@
 """What draws a drive in the browser, replayed and while it is driven: it shows and tells the numbers it is given."""
 
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import browser
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.results.drive import write_drive_page
-from adaptrack.results.replay import SCRIPTS, STYLE
-from browser import Served
 from made_drives import bend, made_drive, made_run, recorded
-from test_replay import COLLECT, ask_page
+from test_replay import ask_page
 
 pytestmark = pytest.mark.needs("chromium")
-
-PAGES = Path(__file__).parent / "viewer"
-"""What the browser is given."""
 
 
 def predicted_of(drive, ahead=1.0, points=8):
@@ -45,40 +38,37 @@ def drives(runs):
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory, runs):
+def answers(tmp_path_factory, runs):
     page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", runs, png=False)
-    return ask_page(
-        page,
-        (PAGES / "replay.js").read_text(),
-    )
+    return ask_page(page, (Path(__file__).parent / "viewer" / "replay.js").read_text())
 
 
-def test_a_thinned_line_keeps_its_extremes(seen):
-    for line in seen["thinned"]:
+def test_a_thinned_line_keeps_its_extremes(answers):
+    for line in answers["thinned"]:
         assert [line["low"], line["high"]] == line["all"][1:]
         assert line["drawn"] <= line["all"][0]
         assert line["grows"]
 
 
-def test_one_cursor_goes_through_all_plots_and_the_road(seen, drives):
-    cursor, drive = seen["cursor"], drives[0]
+def test_one_cursor_goes_through_all_plots_and_the_road(answers, drives):
+    cursor, drive = answers["cursor"], drives[0]
     assert cursor["t"] == 4.0
     assert cursor["shown"] == pytest.approx(9.13, abs=0.02)
     assert cursor["now"] == pytest.approx([cursor["shown"]] * 3, abs=0.006)
     assert cursor["place"]["x"] == pytest.approx(np.interp(cursor["shown"], drive.time, drive.x), abs=5e-3)
     assert cursor["words"] == f"{cursor['shown']:.2f} s"
-    told = [[float(text.replace("−", "-").split()[0].rstrip("°")) for text in plot] for plot in cursor["texts"]]
+    numbers = [[float(text.replace("−", "-").split()[0].rstrip("°")) for text in plot] for plot in cursor["texts"]]
     at = cursor["shown"]
-    assert told[0] == pytest.approx([np.interp(at, each.time, each.offset) for each in drives], abs=2e-3)
-    assert told[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.time, drive.steering))] * 2, abs=0.02)
-    assert told[2] == pytest.approx([10.0] * 3, abs=0.02)
-    assert seen["left"]["shown"] == 4.0
-    assert seen["left"]["x"] == pytest.approx(np.interp(4.0, drive.time, drive.x), abs=5e-3)
-    assert seen["onRoad"] == pytest.approx(6.0, abs=0.11)
+    assert numbers[0] == pytest.approx([np.interp(at, run.time, run.offset) for run in drives], abs=2e-3)
+    assert numbers[1][:2] == pytest.approx([np.degrees(np.interp(at, drive.time, drive.steering))] * 2, abs=0.02)
+    assert numbers[2] == pytest.approx([10.0] * 3, abs=0.02)
+    assert answers["left"]["shown"] == 4.0
+    assert answers["left"]["x"] == pytest.approx(np.interp(4.0, drive.time, drive.x), abs=5e-3)
+    assert answers["onRoad"] == pytest.approx(6.0, abs=0.11)
 
 
-def test_what_is_shown_is_told_in_words(seen, drives):
-    road, error = seen["said"]
+def test_what_is_shown_is_told_in_words(answers, drives):
+    road, error = answers["said"]
     e = float(np.interp(5.0, drives[0].time, drives[0].offset))
     assert f"Informed is {abs(e):.2f} m to the {'left' if e > 0 else 'right'} of its line" in road
     assert "at 10.0 m/s" in road
@@ -86,42 +76,14 @@ def test_what_is_shown_is_told_in_words(seen, drives):
     assert f"Error at 5.00 s: Informed {e:.3f} m".replace("-", "−") in error
     assert f"Informed: from −{-low:.3f} m at " in error
     assert f"to {high:.3f} m" in error
-    assert road in seen["aloud"]
-    assert error in seen["aloud"]
+    assert road in answers["aloud"]
+    assert error in answers["aloud"]
 
 
-def test_the_predicted_path_lies_where_it_was_predicted(seen, drives):
+def test_the_predicted_path_lies_where_it_was_predicted(answers, drives):
     paths = drives[0].predicted
     k = int(np.argmin(np.abs(paths.time - 5.0)))
-    found = np.column_stack([seen["predicted"][name] for name in "xy"])
-    assert found == pytest.approx(paths.points[k], abs=0.02)
-    assert seen["none"] is None
-    assert seen["late"] is None
-
-
-# -- a drive that grows -----------------------------------------------------------------------------------------------
-
-
-NOTHING_ELSE = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
-)
-"""The policy under which the page is served: what it would load from elsewhere is an error."""
-
-
-def ask_live(script):
-    sources = files("adaptrack.export").joinpath("page")
-    scripts = "\n".join(sources.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
-    html = (PAGES / "live.html").read_text().replace("/* STYLE */", sources.joinpath(STYLE).read_text(encoding="utf-8"))
-    collect = COLLECT.replace("replay = window.adaptrackReplay", "{live} = window").replace(
-        'const canvas = document.querySelector("#replay-view canvas");', "const {canvas} = live;"
-    )
-    page = html.replace("/* SCRIPTS */", scripts) + collect % script
-    found, said = browser.ask({"/": Served(page, NOTHING_ELSE)})
-    assert found["failures"] == []
-    assert said == []
-    return found
-
-
-@pytest.fixture(scope="module")
-def live():
-    return ask_live((PAGES / "live.js").read_text())
+    path = np.column_stack([answers["predicted"][name] for name in "xy"])
+    assert path == pytest.approx(paths.points[k], abs=0.02)
+    assert answers["none"] is None
+    assert answers["late"] is None

@@ -14,20 +14,22 @@ WORK = Path(__file__).with_name("ways.py")
 
 
 def answers(way, file, *size):
-    given = [sys.executable, str(WORK), str(file), *map(str, size)]
-    done = subprocess.run(given, env=os.environ | {"ADAPTRACK_KERNELS": way}, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    with np.load(file) as found:
-        return dict(found)
+    command = [sys.executable, str(WORK), str(file), *map(str, size)]
+    process = subprocess.run(command, env=os.environ | {"ADAPTRACK_KERNELS": way}, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    with np.load(file) as arrays:
+        return dict(arrays)
 
 
-def same_bits(one, other):
+def same_bits(first, other):
     """Names of arrays that differ; any NaN is like any other."""
-    assert one.keys() == other.keys()
-    assert len(one) > 50
+    assert first.keys() == other.keys()
+    assert len(first) > 50
     nan = np.float64(np.nan)
-    whole = {name: [np.where(each[name] != each[name], nan, each[name]) for each in (one, other)] for name in one}
-    return [name for name, (a, b) in whole.items() if a.shape != b.shape or a.tobytes() != b.tobytes()]
+    comparable = {
+        name: [np.where(arrays[name] != arrays[name], nan, arrays[name]) for arrays in (first, other)] for name in first
+    }
+    return [name for name, (a, b) in comparable.items() if a.shape != b.shape or a.tobytes() != b.tobytes()]
 
 
 @pytest.fixture

@@ -58,22 +58,24 @@ class TextbookFilter:
         n, size = self.n, self.size
         block = np.zeros((size + 1, size + 1))
         block[:n, :n], block[:n, n : n + 2], block[:n, size] = a, inputs[:, 1:3], inputs[:, 0]
-        whole = expm(block * time)
-        return whole[:size, :size], whole[:size, size]
+        exponential = expm(block * time)
+        return exponential[:size, :size], exponential[:size, size]
 
     def begin(self, measured, command):
         """z and P from the first sample."""
-        own, offset = self.own, self.own.noise.yaw_rate_offset
-        side, turn = own.spread
-        known = {
+        settings, offset = self.own, self.own.noise.yaw_rate_offset
+        side, turn = settings.spread
+        initial = {
             name: measured[SENSORS.index(name)]
             for name in ("vy", "yaw", "yaw_rate", "y")
             if math.isfinite(self.variances[name]) and math.isfinite(measured[SENSORS.index(name)])
         }
-        variances = dict.fromkeys(self.model.states, UNKNOWN_VARIANCE) | {name: self.variances[name] for name in known}
-        variances |= {"wheel_angle": own.drifts.wheel_angle**2 * self.model.period, "offset": offset**2}
+        variances = dict.fromkeys(self.model.states, UNKNOWN_VARIANCE) | {
+            name: self.variances[name] for name in initial
+        }
+        variances |= {"wheel_angle": settings.drifts.wheel_angle**2 * self.model.period, "offset": offset**2}
         variances |= {"side": side**2, "turn": turn**2, "yaw_rate": variances["yaw_rate"] + offset**2}
-        self.z, self.P = self.row(**known, wheel_angle=command), np.diag(self.row(**variances))
+        self.z, self.P = self.row(**initial, wheel_angle=command), np.diag(self.row(**variances))
         self.past = self.z.copy(), self.P.copy()
         self.sent, self.turned = [command] * (self.whole + self.late + 2), [0.0] * (self.late + 1)
         self.samples, self.earlier = [{} for _ in self.turned], [0.0 for _ in self.turned]
@@ -85,8 +87,8 @@ class TextbookFilter:
         """Whether position or heading have been elsewhere for so long that bounded innovations would not help."""
         y, yaw = measured[SENSORS.index("y")], measured[SENSORS.index("yaw")]
         if self.z is not None and math.isfinite(y) and math.isfinite(yaw):
-            far = abs(y - self.z[self.n - 1]) > MAX_OUTLIER_DISTANCE or abs(yaw - self.z[1]) > MAX_OUTLIER_TURN
-            self.far = self.far + 1 if far else 0
+            is_far = abs(y - self.z[self.n - 1]) > MAX_OUTLIER_DISTANCE or abs(yaw - self.z[1]) > MAX_OUTLIER_TURN
+            self.far = self.far + 1 if is_far else 0
         return self.far >= RESTART_OUTLIERS
 
     def sort_in(self, measured):
@@ -186,8 +188,8 @@ class TextbookFilter:
         for name in SENSORS:
             if name not in self.samples[instant] or (name == "wheel_angle" and name not in self.names):
                 continue
-            h, beside = self.reading(name, instant, self.earlier[instant], speed)
-            value = self.samples[instant][name] - beside - self.offsets[name]
+            h, noise = self.reading(name, instant, self.earlier[instant], speed)
+            value = self.samples[instant][name] - noise - self.offsets[name]
             variance = self.variances[name] + (self.felt_error if name == "lateral_acceleration" else 0.0)
             if instant == self.late:  # every sample once
                 self.judge(name, (value - h @ self.z) ** 2 / (h @ self.P @ h + variance))
@@ -197,10 +199,10 @@ class TextbookFilter:
             if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
                 self.offsets[name] += min(1.0, self.model.period / self.own.settling) * innovation
 
-    def judge(self, name, found):
+    def judge(self, name, innovations):
         """Average the squared innovation of a sensor over its variance."""
         share = min(1.0, self.model.period / self.own.window[name == self.left_out])
-        self.disagreement[name] += share * (min(found, 2.0 * self.own.bound**2) - self.disagreement[name])
+        self.disagreement[name] += share * (min(innovations, 2.0 * self.own.bound**2) - self.disagreement[name])
 
     def choose_left_out(self):
         """The redundant sensor that disagrees the most, beyond the bound, until it agrees again.
@@ -211,12 +213,14 @@ class TextbookFilter:
         if self.left_out is not None:
             self.left_out = None if self.disagreement[self.left_out] < self.own.trust else self.left_out
             return
-        found = {name: each for name, each in self.disagreement.items() if each >= self.disagreement["yaw_rate"]}
-        found["yaw_rate"] = self.disagreement["yaw"]
+        disagreeing = {
+            name: value for name, value in self.disagreement.items() if value >= self.disagreement["yaw_rate"]
+        }
+        disagreeing["yaw_rate"] = self.disagreement["yaw"]
         noisy = {name for name, least in zip(SENSORS, LEAST_NOISE, strict=True) if self.variances[name] > least**2}
-        found = {name: found.get(name, 0.0) for name in SENSORS if name in noisy and name not in POSE}
-        worst = max(found, key=found.get, default=None)
-        self.left_out = worst if worst and found[worst] > self.own.distrust else None
+        disagreeing = {name: disagreeing.get(name, 0.0) for name in SENSORS if name in noisy and name not in POSE}
+        worst = max(disagreeing, key=disagreeing.get, default=None)
+        self.left_out = worst if worst and disagreeing[worst] > self.own.distrust else None
 
     def go_on(self, speed):
         """From z of `late` periods before the last instant to the present one, with all samples since then."""
@@ -243,19 +247,19 @@ class TextbookFilter:
 
     def step(self, speed, measured, command):
         """One control instant; command: the one given a period ago (rad)."""
-        given = np.append(np.full(len(SENSORS) + 2, math.nan), 0.0)
-        given[: len(measured)] = measured
-        if self.is_far_off(given):
+        sample = np.append(np.full(len(SENSORS) + 2, math.nan), 0.0)
+        sample[: len(measured)] = measured
+        if self.is_far_off(sample):
             self.z = None
         if self.z is None:
-            self.begin(given, command)
+            self.begin(sample, command)
         else:
             self.sent = [command, *self.sent[:-1]]
-            self.sort_in(given)
+            self.sort_in(sample)
             self.go_on(speed)
         self.steps += 1
         f, _ = self.matrices(speed, self.model.period)
-        known = self.blind <= self.own.patience / self.model.period
+        is_known = self.blind <= self.own.patience / self.model.period
         pushes = (self.z + self.row(side=self.saturation(speed)))[self.n : self.n + 2]
-        x = self.ahead(speed)[: self.n] if known else np.full(self.n, math.nan)
+        x = self.ahead(speed)[: self.n] if is_known else np.full(self.n, math.nan)
         return x, f[: self.n, self.n : self.n + 2] @ pushes

@@ -14,7 +14,7 @@ if kernel.INTERPRETED:
     from adaptrack.core.maths import vectors
 
     def fma8(a, b, c):
-        return np.array([exact_fma(*each) for each in zip(a.tolist(), b.tolist(), c.tolist(), strict=True)])
+        return np.array([exact_fma(*factors) for factors in zip(a.tolist(), b.tolist(), c.tolist(), strict=True)])
 
     vectors.fma8 = fma8
 
@@ -52,14 +52,14 @@ def steps(controller, count, rng):
 def main(file, count, runs, seconds):
     rng = np.random.default_rng(1)
     slow = {"kinematic-mpc": 10}  # times as long a step as the others
-    found = {name: steps(each, max(count // slow.get(name, 1), 2), rng) for name, each in controllers()}
+    results = {name: steps(controller, max(count // slow.get(name, 1), 2), rng) for name, controller in controllers()}
     car = at.load_vehicle("midsize-sedan")
     for i in range(runs):
         for profile in ("paper", "road", "production"):
             drive = at.random_drive(i, seconds)
             run = rollout(at.DualTrack(car), at.MPC(car, profile=profile), drive, profile=profile, seed=i)
-            found |= {f"{profile} {i} {name}": values for name, values in run.columns().items()}
-    np.savez(file, **found)
+            results |= {f"{profile} {i} {name}": values for name, values in run.columns().items()}
+    np.savez(file, **results)
 
 
 if __name__ == "__main__":

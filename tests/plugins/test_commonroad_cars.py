@@ -42,7 +42,7 @@ def plant(request):
     return request.getfixturevalue({DRIFT: "drift", BODY: "body"}[request.param])
 
 
-def theirs(number=2):
+def their_parameters(number=2):
     from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
     return setup_vehicle_parameters(number)
@@ -80,14 +80,14 @@ def of_their_body_model(x, steering, acceleration, car):
 
 
 def test_without_air_the_derivative_is_that_of_their_own_function(plant):
-    car, rng = theirs(), np.random.default_rng(3)
+    car, rng = their_parameters(), np.random.default_rng(3)
     airless = commonroad_vehicle(2).replace(frontal_area=0.0)
     plant = commonroad_plant(plant.name.removeprefix("commonroad-"), 2, airless)
-    own = of_their_drift_model if "drift" in plant.name else of_their_body_model
+    reference = of_their_drift_model if "drift" in plant.name else of_their_body_model
     around = [car.tire.p_dy1] * 4 + STILL
     for speed in (9.0, 15.0, 30.0):
         x = somewhere(plant, rng, speed)
-        expected = own(x, 0.03, 0.7, car)
+        expected = reference(x, 0.03, 0.7, car)
         np.testing.assert_allclose(plant.derivative(x, [0.03, 0.7 * car.m], around), expected, rtol=1e-10, atol=1e-10)
         expected[3] = 0.7  # prescribed, and told
         np.testing.assert_allclose(plant.derivative(x, [0.03, 0.0, 0.7], around), expected, rtol=1e-10, atol=1e-10)
@@ -125,17 +125,19 @@ def test_friction_bounds_the_force_and_leaves_the_stiffness(drift, friction):
 @pytest.mark.parametrize("number", CARS)
 @pytest.mark.parametrize("speed", [4.0, 12.0, 27.0])
 def test_a_car_starts_rolling_in_equilibrium(plant, number, speed):
-    own = commonroad_plant(plant.name.removeprefix("commonroad-"), number)
-    x = own.initial_state([5.0, 1.0, 0.3, speed, 0.0, 0.0])
-    slope = own.derivative(x, [0.0, 0.0, 0.0], [0.9] * 4 + STILL)
+    plant_of_number = commonroad_plant(plant.name.removeprefix("commonroad-"), number)
+    x = plant_of_number.initial_state([5.0, 1.0, 0.3, speed, 0.0, 0.0])
+    slope = plant_of_number.derivative(x, [0.0, 0.0, 0.0], [0.9] * 4 + STILL)
     radius = commonroad_parameters(number)["R_w"]
-    upright = [i for i, name in enumerate(own.state_names[6:], 6) if not name.startswith(("roll", "vy", "joint"))]
+    upright = [
+        i for i, name in enumerate(plant_of_number.state_names[6:], 6) if not name.startswith(("roll", "vy", "joint"))
+    ]
     assert np.abs(slope[upright]).max() < 1e-6
-    rolling = [i for i, name in enumerate(own.state_names) if name.startswith("wheel")]
+    rolling = [i for i, name in enumerate(plant_of_number.state_names) if name.startswith("wheel")]
     assert x[rolling] * radius == pytest.approx(speed, rel=2e-3)
 
 
-def advanced(plant, x, u, seconds):
+def advance(plant, x, u, seconds):
     """Under inputs held, by the plant's own steps."""
     n = plant.substeps(seconds, 20.0)
     h = seconds / n
@@ -155,7 +157,7 @@ def test_under_a_prescribed_acceleration_wheels_roll_along_and_the_body_pitches(
     wheels = [i for i, name in enumerate(body.state_names) if name.startswith("wheel")]
     rates = []
     for acceleration in (-3.0, 3.0):
-        x = advanced(body, start, [0.0, 0.0, acceleration], 1.5)
+        x = advance(body, start, [0.0, 0.0, acceleration], 1.5)
         assert x[3] == pytest.approx(20.0 + 1.5 * acceleration)
         assert x[wheels] * commonroad_parameters(2)["R_w"] == pytest.approx(x[3], rel=0.04)
         rates.append(x[pitch] - start[pitch])
@@ -169,7 +171,7 @@ def test_under_a_prescribed_acceleration_wheels_roll_along_and_the_body_pitches(
 def test_the_data_sheet_has_the_yaw_gain_of_the_drift_model(number):
     plant, car = commonroad_plant(DRIFT, number), commonroad_vehicle(number)
     straight = plant.initial_state([0.0, 0.0, 0.0, 15.0, 0.0, 0.0])
-    left, right = (advanced(plant, straight, [angle, 0.0, 0.0], 3.0)[5] for angle in (0.005, -0.005))
+    left, right = (advance(plant, straight, [angle, 0.0, 0.0], 3.0)[5] for angle in (0.005, -0.005))
     assert (left - right) / 0.01 == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.02)
 
 
@@ -186,8 +188,8 @@ def test_the_default_controller_drives_it_from_its_data_sheet(plant, profile):
     runs = at.rollout_batch(plant, mpc, drives, profile=profile, seeds=np.arange(4))
     assert not any(runs.failed)
     assert runs.mse.max() < 0.01  # m^2
-    one = at.simulate(plant, mpc, drives[0], profile=profile, seed=0)
-    assert np.mean(one.error**2) == pytest.approx(runs.mse[0], rel=1e-12)
+    run = at.simulate(plant, mpc, drives[0], profile=profile, seed=0)
+    assert np.mean(run.error**2) == pytest.approx(runs.mse[0], rel=1e-12)
 
 
 # -- parameters -------------------------------------------------------------------------------------------------------
@@ -195,8 +197,8 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
     import tomli_w
 
     by_number = commonroad_parameters(2)
-    assert by_number["tire"]["p_ky1"] == theirs().tire.p_ky1
-    assert commonroad_parameters(theirs()) == commonroad_parameters(by_number) == by_number
+    assert by_number["tire"]["p_ky1"] == their_parameters().tire.p_ky1
+    assert commonroad_parameters(their_parameters()) == commonroad_parameters(by_number) == by_number
     file = tmp_path / "my-car.toml"
     file.write_text(tomli_w.dumps(by_number | {"m": 1200.0}))
     assert commonroad_parameters(file) == by_number | {"m": 1200.0}
@@ -206,7 +208,7 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"m": None}, "m is missing"),
         ({"I_z": "heavy"}, "I_z = 'heavy' is no number"),
@@ -214,11 +216,11 @@ def test_parameters_come_by_number_as_tables_as_their_dataclass_or_as_toml(tmp_p
         ({"steering": {}}, r"steering\.min is missing, steering\.max is missing"),
     ],
 )
-def test_what_is_wrong_with_parameters_is_named(change, said):
-    good = commonroad_parameters(2)
-    given = good | {k: (good[k] | v if v and isinstance(v, dict) else v) for k, v in change.items()}
-    with pytest.raises(ConfigError, match=said):
-        commonroad_parameters(given)
+def test_what_is_wrong_with_parameters_is_named(change, message):
+    parameters = commonroad_parameters(2)
+    changed = parameters | {k: (parameters[k] | v if v and isinstance(v, dict) else v) for k, v in change.items()}
+    with pytest.raises(ConfigError, match=message):
+        commonroad_parameters(changed)
 
 
 @pytest.mark.parametrize("number", [0, 4, 7, True])

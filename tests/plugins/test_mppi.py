@@ -11,7 +11,7 @@ import mppi
 import mppi_kernel as kernel
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
 from adaptrack.control.controllers import check_controller, get_controller
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.drive.simulate import rollout, simulate
@@ -32,13 +32,13 @@ SMALL = {"samples": 64, "horizon": 0.5}
 step_of, moved = entry(kernel.step_of), entry(kernel.moved)
 
 
-def driven(controller: MPPI, state: kernel.State, commands: list[float], speed: float) -> list[kernel.State]:
+def states_under(controller: MPPI, state: kernel.State, commands: list[float], speed: float) -> list[kernel.State]:
     """The model's states after each period under its commands (rad)."""
-    p, found = kernel.Parameters(*controller.parameters()), [state]
+    p, states = kernel.Parameters(*controller.parameters()), [state]
     step = step_of(controller.period, speed, p)
     for command in commands:
-        found.append(kernel.State(*moved(found[-1], command, step, p, True)))
-    return found[1:]
+        states.append(kernel.State(*moved(states[-1], command, step, p, True)))
+    return states[1:]
 
 
 # -- the model --------------------------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
     start, errors = kernel.State(0.0, 0.2, 0.05, 0.1, 0.05, command), []
     for period in (0.1, 0.05, 0.025):
         controller = MPPI(calm, tyre=tyre, profile="paper", period=period, **SMALL)
-        last = driven(controller, start, [command] * round(0.5 / period), speed)[-1]
+        last = states_under(controller, start, [command] * round(0.5 / period), speed)[-1]
         errors.append(np.abs(np.array(last[:5]) - x[[0, 1, 2, 4, 5]]).max())
     assert errors[1] < 1e-3
     if tyre == "constant-stiffness":
@@ -69,15 +69,15 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
 def test_the_wheels_follow_as_a_first_order_lag_within_its_rate():
     slow = MPPI(CAR, profile="paper", belief=Steering(lag=0.2, dead_time=0.0, rate=0.5), period=0.05, **SMALL)
     straight = kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    near = [s.wheels for s in driven(slow, straight, [0.05] * 10, 10.0)]
+    near = [s.wheels for s in states_under(slow, straight, [0.05] * 10, 10.0)]
     np.testing.assert_allclose(near, 0.05 * (1.0 - np.exp(-0.05 * np.arange(1, 11) / 0.2)), rtol=1e-12)
-    far = [s.wheels for s in driven(slow, straight, [0.5] * 4, 10.0)]
-    np.testing.assert_allclose(far, 0.5 * 0.05 * np.arange(1, 5), rtol=1e-12)
+    wheels = [s.wheels for s in states_under(slow, straight, [0.5] * 4, 10.0)]
+    np.testing.assert_allclose(wheels, 0.5 * 0.05 * np.arange(1, 5), rtol=1e-12)
 
 
 def test_at_walking_pace_the_model_stays_stable():
     controller = MPPI(CAR, profile="paper", period=0.1, **SMALL)
-    last = driven(controller, kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), [0.1] * 200, 1.0)[-1]
+    last = states_under(controller, kernel.State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), [0.1] * 200, 1.0)[-1]
     assert last.r == pytest.approx(0.1 / CAR.wheelbase, rel=0.05)  # that of a bicycle without slip
 
 
@@ -85,13 +85,15 @@ def test_at_walking_pace_the_model_stays_stable():
 def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     """Where the cost is S = c + g'e + e'He/2 and e ~ N(0, s^2 I), exp(-S/lambda) has the mean -(I/s^2 + H/l)^-1 g/l."""
     speed, state, spread, temperature = 12.0, [0.0, 0.0, 0.0, 0.02], 0.05, 1e-5
-    how = {"q_course": 1.0, "r": 0.01, "horizon": 0.3, "period": 0.1, "limits": WIDE}
-    controller = MPPI(CAR, profile="paper", temperature=temperature, spread=spread, samples=16_384, preview=True, **how)
-    found = controller.step(state, speed, np.zeros(10))
+    options = {"q_course": 1.0, "r": 0.01, "horizon": 0.3, "period": 0.1, "limits": WIDE}
+    controller = MPPI(
+        CAR, profile="paper", temperature=temperature, spread=spread, samples=16_384, preview=True, **options
+    )
+    step = controller.step(state, speed, np.zeros(10))
 
     def cost(moves):
         before, total = kernel.State(0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 0.0
-        for new, move in zip(driven(controller, before, np.cumsum(moves).tolist(), speed), moves, strict=True):
+        for new, move in zip(states_under(controller, before, np.cumsum(moves).tolist(), speed), moves, strict=True):
             course = (new.y - before.y) / (speed * 0.1)
             total += 0.1 * (new.y**2 + 1.0 * course**2 + 0.01 * (move / 0.1) ** 2)
             before = new
@@ -103,9 +105,9 @@ def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     s = spread * 0.1
     mean = -np.linalg.solve(np.eye(3) / s**2 + H / temperature, g / temperature)
     covariance = np.linalg.inv(np.eye(3) / s**2 + H / temperature)
-    noise = math.sqrt(covariance[0, 0] / found.diagnostics["effective"])
+    noise = math.sqrt(covariance[0, 0] / step.diagnostics["effective"])
     assert abs(mean[0]) > 20.0 * noise  # a claim that can fail
-    assert found.angle == pytest.approx(mean[0], abs=5.0 * noise)
+    assert step.angle == pytest.approx(mean[0], abs=5.0 * noise)
 
 
 def test_commands_on_their_way_are_driven_through_by_the_model():
@@ -113,11 +115,11 @@ def test_commands_on_their_way_are_driven_through_by_the_model():
     late = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.2), preview=True, **SMALL)
     prompt = MPPI(CAR, profile="paper", belief=Steering(lag=0.1, dead_time=0.0), preview=True, **SMALL)
     speed, (vy, yaw, rate, y) = 15.0, (0.05, 0.02, 0.03, 0.4)
-    after = driven(prompt, kernel.State(0.0, y, yaw, vy, rate, 0.0), [0.0, 0.0], speed)[-1]
-    now = late.step([vy, yaw, rate, y], speed, np.zeros(40)).angle
+    after = states_under(prompt, kernel.State(0.0, y, yaw, vy, rate, 0.0), [0.0, 0.0], speed)[-1]
+    angle = late.step([vy, yaw, rate, y], speed, np.zeros(40)).angle
     then = prompt.step([after.vy, after.yaw, after.r, after.y], speed, np.zeros(40)).angle
-    assert now == pytest.approx(then, rel=1e-9)
-    assert now != 0.0
+    assert angle == pytest.approx(then, rel=1e-9)
+    assert angle != 0.0
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------
@@ -148,9 +150,9 @@ def test_it_follows_a_hairpin(profile):
 def test_a_situation_that_is_not_finite_leaves_the_plan_as_it_is():
     controller = MPPI(CAR, profile="paper", preview=True, **SMALL)
     controller.step([0.0, 0.0, 0.0, 0.5], 10.0, np.zeros(40))
-    held = controller.step([0.0, math.nan, 0.0, 0.5], 10.0, np.zeros(40))
-    assert held.held
-    assert held.move == 0.0
+    step = controller.step([0.0, math.nan, 0.0, 0.5], 10.0, np.zeros(40))
+    assert step.held
+    assert step.move == 0.0
     assert np.isfinite(controller._memory).all()
 
 
@@ -160,20 +162,6 @@ def test_a_situation_that_is_not_finite_leaves_the_plan_as_it_is():
 def test_nonsense_is_refused_by_name(option, value):
     with pytest.raises(InvalidInput, match=option):
         MPPI(CAR, **{option: value})
-
-
-def test_it_believes_the_steering_of_the_profile():
-    told = MPPI(CAR, profile="production", **SMALL)
-    assert told.car.belief.delay == pytest.approx(0.1)
-    assert told.car.belief.lag.value == 0.2
-    assert SteeringActuator.ideal().lag == MPPI(CAR, profile="paper", **SMALL).car.belief.lag.value
-
-
-def test_a_computation_time_adds_to_the_dead_time():
-    late = MPPI(CAR, belief=Steering(lag=0.1, dead_time=0.1), computation=0.03, **SMALL)
-    assert late.car.belief.delay == pytest.approx(0.13)
-    with pytest.raises(InvalidInput, match="computation"):
-        MPPI(CAR, computation=-0.01)
 
 
 def test_without_numba_the_remedy_is_named(monkeypatch):

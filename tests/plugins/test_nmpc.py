@@ -26,14 +26,14 @@ needs_casadi = pytest.mark.skipif(not find_spec("casadi"), reason="needs CasADi:
 pytestmark = pytest.mark.slow
 
 
-def made(name="nmpc", car=CAR, **options):
+def make_controller(name="nmpc", car=CAR, **options):
     return get_controller(name, car, **options)
 
 
 def test_without_casadi_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(MissingExtra, match="pip install casadi"):
-        made()
+        make_controller()
 
 
 @needs_casadi
@@ -57,48 +57,48 @@ def test_for_small_errors_its_first_move_is_that_of_the_linear_mpc(lag):
 
     gaps = []
     for scale in (1e-4, 1.0):
-        controller = made(
+        controller = make_controller(
             "nmpc-as-measured", car, profile="paper", belief=Steering(lag=lag, dead_time=0.0), period=period,
             horizon=n * period, R=R, iterations=20, preview=True, limits=Limits(move=(-1.0, 1.0), angle=(-1.5, 1.5)),
         )  # fmt: skip
         vy, yaw, rate, y = scale * np.array([0.3, 0.1, 0.2, 0.8])
-        own = np.array([vy, yaw, rate, *([0.0] if lag else []), y])
-        found = controller.step([vy, yaw, rate, y], speed, np.zeros(40))
-        gaps.append(abs(found.angle / moves(own)[0] - 1.0))
+        state = np.array([vy, yaw, rate, *([0.0] if lag else []), y])
+        answer = controller.step([vy, yaw, rate, y], speed, np.zeros(40))
+        gaps.append(abs(answer.angle / moves(state)[0] - 1.0))
     assert gaps[0] < 2e-4
     assert gaps[1] > 0.01
 
 
 @needs_casadi
 def test_the_solution_meets_its_limits_and_converges():
-    controller = made("nmpc-as-measured", profile="road", iterations=30)
-    found = controller.step([0.0, 0.0, 0.0, -2.0], 15.0, np.zeros(80))
-    assert found.angle == pytest.approx(controller.limits.move[1], abs=1e-9)
-    assert found.diagnostics["change"] < 1e-7
-    assert found.diagnostics["iterations"] < 30
+    controller = make_controller("nmpc-as-measured", profile="road", iterations=30)
+    step = controller.step([0.0, 0.0, 0.0, -2.0], 15.0, np.zeros(80))
+    assert step.angle == pytest.approx(controller.limits.move[1], abs=1e-9)
+    assert step.diagnostics["change"] < 1e-7
+    assert step.diagnostics["iterations"] < 30
 
 
 @needs_casadi
 def test_commands_on_their_way_are_driven_through_by_the_model():
     """Three periods late is where a car without dead time is three periods on."""
-    how = {"profile": "paper", "preview": True, "period": 0.05, "iterations": 20}
+    options = {"profile": "paper", "preview": True, "period": 0.05, "iterations": 20}
     late, prompt = (
-        made("nmpc-as-measured", belief=Steering(lag=0.1, dead_time=time), **how) for time in (0.15, 0.0)
+        make_controller("nmpc-as-measured", belief=Steering(lag=0.1, dead_time=time), **options) for time in (0.15, 0.0)
     )  # fmt: skip
     x = np.array([0.05, 0.03, 0.02, 0.4, 0.0])  # v_y, r, psi, e, delta
     after = x
     for _ in range(3):
         after = prompt._drive(after, 0.0, np.array([15.0, 0.0, 0.0, 0.0]), 0.05)
-    now = late.step([x[0], x[2], x[1], x[3]], 15.0, np.zeros(80)).angle
+    angle = late.step([x[0], x[2], x[1], x[3]], 15.0, np.zeros(80)).angle
     then = prompt.step([after[0], after[2], after[1], after[3]], 15.0, np.zeros(80)).angle
-    assert now == pytest.approx(then, rel=1e-5)
-    assert now != 0.0
+    assert angle == pytest.approx(then, rel=1e-5)
+    assert angle != 0.0
 
 
 @needs_casadi
 @pytest.mark.parametrize("name", ["nmpc", "nmpc-as-measured"])
 def test_it_follows_a_hairpin_on_the_ideal_car(name):
-    controller = made(name, profile="paper", period=0.05, preview=True)
+    controller = make_controller(name, profile="paper", period=0.05, preview=True)
     run = simulate(DualTrack(CAR), controller, RoadDrive(HAIRPIN, 6.0), profile="paper")
     assert run.failed is None
     assert np.abs(run.error).max() < 0.1
@@ -110,7 +110,7 @@ def test_its_estimator_takes_out_a_push_that_stays():
     blown = load_scenario("lane-change", amplitude=0.0, speed=15.0, friction=1.0, gust=12.0, duration=6.0)
     offsets = []
     for name in ("nmpc", "nmpc-as-measured"):
-        run = simulate(SingleTrack(CAR), made(name, profile="paper", period=0.05, preview=True), blown)
+        run = simulate(SingleTrack(CAR), make_controller(name, profile="paper", period=0.05, preview=True), blown)
         assert run.failed is None
         offsets.append(abs(float(run.error[-20:].mean())))
     assert offsets[0] < 0.003
@@ -120,11 +120,11 @@ def test_its_estimator_takes_out_a_push_that_stays():
 @needs_casadi
 @pytest.mark.parametrize(("name", "profile"), [("nmpc", "road"), ("nmpc-as-measured", "paper")])
 def test_it_keeps_the_contract_of_controllers(name, profile):
-    check_controller(made(name, profile=profile, horizon=0.5))
+    check_controller(make_controller(name, profile=profile, horizon=0.5))
 
 
 @needs_casadi
 @pytest.mark.parametrize(("option", "value"), [("horizon", 0.0), ("R", 0.0), ("iterations", 0), ("friction", -1.0)])
 def test_nonsense_is_refused_by_name(option, value):
     with pytest.raises(InvalidInput, match=option):
-        made(**{option: value})
+        make_controller(**{option: value})

@@ -101,10 +101,10 @@ class Program:
         rows = np.full((self.count, 12), np.nan)
         rows[:, :10] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
-        own = tracking_block(controller)
-        at = own.words["step.mpc.answer"] + MPC_ANSWER.qp_iterations if "step.mpc.answer" in own.words else 0
+        block = tracking_block(controller)
+        at = block.words["step.mpc.answer"] + MPC_ANSWER.qp_iterations if "step.mpc.answer" in block.words else 0
         self.given = ["-std=gnu11", "-O2", "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
-                      *[f"-I{self.made.folder}/{each}" for each in (".", "include", "src")], str(HERE / "board.c"),
+                      *[f"-I{self.made.folder}/{folder}" for folder in (".", "include", "src")], str(HERE / "board.c"),
                       *map(str, sorted((self.made.folder / "src").glob("*.c")))]  # fmt: skip
 
     def kernels(self, target):
@@ -139,7 +139,7 @@ class Program:
         answers = np.fromfile(folder / "answers", np.int64).reshape(-1, WORDS)
         counts = np.fromfile(folder / "counts", np.int64)
         calls = counts[: 2 * self.count].reshape(self.count, 2)
-        instructions, once = ((each * 5 + 4) // 8 for each in (calls[:, 0], counts[-4:-1]))
+        instructions, once = ((column * 5 + 4) // 8 for column in (calls[:, 0], counts[-4:-1]))
         return Ran(
             differing(expected, answers), instructions, calls[:, 1].copy().view(float), tuple(once.tolist()),
             int(counts[-1]), _code(folder / "program"), self.made.constants_size, self.made.memory_size,
@@ -152,35 +152,39 @@ def _own():
     return "x86-64-v3" if name == "x86-64-v4" else name
 
 
-def differing(here, there):
+def differing(first, there):
     """How many answers differ."""
-    if here.shape != there.shape:
-        raise RuntimeError(f"{len(there)} answers of {len(here)}")
-    numbers = here[:, :4].copy().view(float), there[:, :4].copy().view(float)
-    unlike = here != there
+    if first.shape != there.shape:
+        raise RuntimeError(f"{len(there)} answers of {len(first)}")
+    numbers = first[:, :4].copy().view(float), there[:, :4].copy().view(float)
+    unlike = first != there
     unlike[:, :4] &= ~(np.isnan(numbers[0]) & np.isnan(numbers[1]))
     return int(unlike.any(axis=1).sum())
 
 
 def _sizes(program):
     """Bytes of the symbols of a program."""
-    told = subprocess.run(["arm-none-eabi-nm", "-S", str(program)], capture_output=True, text=True, check=True).stdout
-    rows = [row.split() for row in told.splitlines()]
+    symbols = subprocess.run(
+        ["arm-none-eabi-nm", "-S", str(program)], capture_output=True, text=True, check=True
+    ).stdout
+    rows = [row.split() for row in symbols.splitlines()]
     return {row[3]: int(row[1], 16) for row in rows if len(row) == 4}
 
 
 def _code(program):
     """Bytes in flash without the tracker's constants and the recorded path."""
-    told = subprocess.run(["arm-none-eabi-size", "-A", str(program)], capture_output=True, text=True, check=True).stdout
-    sections = {row.split()[0]: int(row.split()[1]) for row in told.splitlines() if row.startswith(".")}
+    listing = subprocess.run(
+        ["arm-none-eabi-size", "-A", str(program)], capture_output=True, text=True, check=True
+    ).stdout
+    sections = {row.split()[0]: int(row.split()[1]) for row in listing.splitlines() if row.startswith(".")}
     data = sum(size for name, size in _sizes(program).items() if name.startswith(("adaptrack_recorded", CONSTANTS)))
-    return sum(sections.get(each, 0) for each in (".text", ".rodata", ".exidx")) - data
+    return sum(sections.get(section, 0) for section in (".text", ".rodata", ".exidx")) - data
 
 
 def _do(command, folder):
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=1200)
-    if done.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)}: {done.returncode}: {done.stderr}")
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=1200)
+    if process.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: {process.returncode}: {process.stderr}")
 
 
 def driven(controller, road, plan, vehicle, rng, disturbed):
@@ -218,8 +222,10 @@ def main():
             calls = driven(controller, road, plan, vehicle, np.random.default_rng(0), disturbed)
             with tempfile.TemporaryDirectory() as folder:
                 ran = Program(controller, calls, (road, plan), Path(folder), "cortex-m7").on("cortex-m7")
-            many = ran.iterations >= 3
-            slope = np.polyfit(ran.iterations[many], ran.instructions[many], 1)[0] if many.sum() > 99 else np.nan
+            is_many = ran.iterations >= 3
+            slope = (
+                np.polyfit(ran.iterations[is_many], ran.instructions[is_many], 1)[0] if is_many.sum() > 99 else np.nan
+            )
             print(
                 f"{name}, {'disturbed' if disturbed else 'as measured'}: {ran.differ} of {len(calls)} differ; "
                 f"instructions {ran.instructions.mean():.0f}, p99 {np.percentile(ran.instructions, 99):.0f}, worst "

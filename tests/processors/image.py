@@ -70,7 +70,7 @@ class Image:
 
     def words(self):
         head = [self.size, len(self.places), len(self.links), len(self.code)]
-        tail = [number for each in (self.places, self.links, self.code) for row in each for number in row]
+        tail = [number for table in (self.places, self.links, self.code) for row in table for number in row]
         return np.concatenate([np.array(head), *(raw for raw, _ in self.parts), np.array(tail, np.int64)])
 
 
@@ -97,23 +97,23 @@ def run(image, library):
         memory[word] = address(image.functions[number])
     elementary, step, begin, drive = map(kernel, (elementary_values, mpc_step, rollout.begin, rollout.rollout))
     parts, constants, gains = map(kernel, (informed_parts, informed_constants, lqr_parameters))
-    told = []
-    for what, a, b, c, d in image.code:
-        if what == ELEMENTARY:
+    answers = []
+    for operation, a, b, c, d in image.code:
+        if operation == ELEMENTARY:
             elementary(a, base + 8 * b, 3, c, base + 8 * d, c)
-        elif what == COPY:
+        elif operation == COPY:
             memory[b : b + c] = memory[a : a + c]
-        elif what == STEP:
+        elif operation == STEP:
             step(base + 8 * a)
-        elif what == BEGIN:
+        elif operation == BEGIN:
             begin(a, base + 8 * b)
-        elif what == DRIVE:
+        elif operation == DRIVE:
             drive(base + 8 * a, base + 8 * b)
-        elif what == MAKE:
+        elif operation == MAKE:
             parts(base + 8 * a, base + 8 * b)
             constants(base + 8 * a, base + 8 * b, base + 8 * c)
-        elif what == GAINS:
+        elif operation == GAINS:
             gains(base + 8 * a, base + 8 * b, base + 8 * c, 4, base + 8 * d, LQR_NUMBERS)
         else:
-            told.append(memory[a : a + b].copy())
-    return np.concatenate(told)
+            answers.append(memory[a : a + b].copy())
+    return np.concatenate(answers)

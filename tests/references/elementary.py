@@ -51,9 +51,9 @@ def near_one(rng: np.random.Generator, count: int) -> np.ndarray:
     return 1.0 + scales(-53, -1)(rng, count)
 
 
-def of(*each: Any) -> Arguments:
+def of(*draws: Any) -> Arguments:
     """One class of arguments, from one generator for each."""
-    return lambda rng, count: tuple(generate(rng, count) for generate in each)
+    return lambda rng, count: tuple(generate(rng, count) for generate in draws)
 
 
 def powers_at(low: float, high: float) -> Arguments:
@@ -154,15 +154,15 @@ def ulps(value: float, exact: Any) -> float:
     if exact == 0:
         return 0.0 if value == 0.0 else math.inf
     limit = mp.mpf(2) ** 1024
-    found, exact = min(max(mp.mpf(value), -limit), limit), min(max(exact, -limit), limit)
+    clipped, exact = min(max(mp.mpf(value), -limit), limit), min(max(exact, -limit), limit)
     exponent = min(max(int(mp.frexp(exact)[1]) - 1, -1022), 1023)
-    return float(abs(found - exact) / mp.mpf(2) ** (exponent - 52))
+    return float(abs(clipped - exact) / mp.mpf(2) ** (exponent - 52))
 
 
 def worst(function: Function, entry: Callable[..., float], arguments: tuple[np.ndarray, ...]) -> tuple[float, Any]:
     """The largest error among these arguments, and where it is."""
     with mp.workprec(PRECISION):
-        points = list(zip(*(each.tolist() for each in arguments), strict=True))
+        points = list(zip(*(column.tolist() for column in arguments), strict=True))
         return max((ulps(entry(*at), function.oracle(*map(mp.mpf, at))), at) for at in points)
 
 

@@ -36,13 +36,13 @@ def continuous(car: Vehicle, speed: float) -> tuple[Array, Array]:
 def discrete(car: Vehicle, speed: float, period: float) -> tuple[Array, Array]:
     """A_k (4, 4) and B (4,) of eq. (8): zero-order hold by scipy's matrix exponential."""
     a, b = continuous(car, speed)
-    whole = np.zeros((5, 5))
-    whole[:4, :4], whole[:4, 4] = a, b
-    whole = expm(whole * period)
-    return whole[:4, :4], whole[:4, 4]
+    exponential = np.zeros((5, 5))
+    exponential[:4, :4], exponential[:4, 4] = a, b
+    exponential = expm(exponential * period)
+    return exponential[:4, :4], exponential[:4, 4]
 
 
-def outputs(car: Vehicle, speed: float, period: float, before: Array, now: Array, moves: Array) -> Array:
+def outputs(car: Vehicle, speed: float, period: float, before: Array, current: Array, moves: Array) -> Array:
     """y at the instants after now, simulated: x(k+1) = x(k) + A (x(k) - x(k-1)) + B (u(k) - u(k-1)).
 
     before, now: x_c one instant ago and now; moves: u(k) - u(k-1), u(k+1) - u(k), ...
@@ -50,8 +50,8 @@ def outputs(car: Vehicle, speed: float, period: float, before: Array, now: Array
     a, b = discrete(car, speed, period)
     result = []
     for move in moves:
-        before, now = now, now + a @ (now - before) + b * move
-        result.append(now[3])
+        before, current = current, current + a @ (current - before) + b * move
+        result.append(current[3])
     return np.array(result)
 
 
@@ -83,7 +83,7 @@ def unconstrained_move(
     speed: float,
     period: float,
     before: Array,
-    now: Array,
+    current: Array,
     reference: Array,
     q: float,
     r: float,
@@ -91,9 +91,9 @@ def unconstrained_move(
 ) -> float:
     """First move that minimises eq. (11) without limits; basis (Np, n): dU = basis eta, R weighs eta."""
     horizon, count = basis.shape
-    free = outputs(car, speed, period, before, now, np.zeros(horizon))
-    rest = np.zeros(4)
-    effect = np.column_stack([outputs(car, speed, period, rest, rest, basis[:, i]) for i in range(count)])
+    free = outputs(car, speed, period, before, current, np.zeros(horizon))
+    unforced = np.zeros(4)
+    effect = np.column_stack([outputs(car, speed, period, unforced, unforced, basis[:, i]) for i in range(count)])
     stacked = np.vstack([np.sqrt(q) * effect, np.sqrt(r) * np.eye(count)])
     target = np.concatenate([np.sqrt(q) * (reference - free), np.zeros(count)])
     eta = np.linalg.lstsq(stacked, target, rcond=None)[0]

@@ -58,8 +58,8 @@ def _fixed(a: npt.ArrayLike) -> npt.NDArray[np.object_]:
 
 def _floats(a: npt.NDArray[np.object_], scale: int) -> Array:
     """Fixed-point integers as floats, correctly rounded by Python's integer division."""
-    one = 1 << scale
-    return np.array([int(v) / one for v in a], dtype=float)
+    unit = 1 << scale
+    return np.array([int(v) / unit for v in a], dtype=float)
 
 
 class _Exact:
@@ -121,10 +121,10 @@ class _Exact:
         return result
 
     def stationarity(self, x: npt.NDArray, lam: npt.NDArray) -> Array:
-        rest = self.Ei.dot(x) + (self.Ki << SCALE)
+        residual = self.Ei.dot(x) + (self.Ki << SCALE)
         if len(lam):
-            rest = rest + self.Mi.T.dot(lam)
-        return _floats(rest, 2 * SCALE)
+            residual = residual + self.Mi.T.dot(lam)
+        return _floats(residual, 2 * SCALE)
 
 
 def reference_solve(
@@ -137,9 +137,9 @@ def reference_solve(
     problem = _Exact(E, K, M, gamma)
     tiny = 10.0**-digits
     active = [int(i) for i in np.asarray(guess, dtype=int)]
-    seen: set[tuple[int, ...]] = set()
-    while tuple(sorted(active)) not in seen and len(seen) < 50 and len(active) <= len(K):
-        seen.add(tuple(sorted(active)))
+    visited: set[tuple[int, ...]] = set()
+    while tuple(sorted(active)) not in visited and len(visited) < 50 and len(active) <= len(K):
+        visited.add(tuple(sorted(active)))
         refined = problem.refine(active, digits + 5)
         if refined is None:
             break
@@ -170,11 +170,11 @@ def exact_residual(E: Array, K: Array, M: Array, gamma: Array, x: Array, lam: Ar
     terms = 1.0 + np.abs(E) @ np.abs(x) + np.abs(K) + (np.abs(M).T @ np.abs(lam) if len(lam) else 0.0)
     worst = [float((np.abs(problem.stationarity(xi, lami)) / terms).max())]
     if len(lam):
-        here = problem.present
-        slack = problem.slack(xi)[here] / (1.0 + np.abs(M[here]) @ np.abs(x) + np.abs(gamma[here]))
+        point = problem.present
+        slack = problem.slack(xi)[point] / (1.0 + np.abs(M[point]) @ np.abs(x) + np.abs(gamma[point]))
         worst += [float(slack.max(initial=0.0)), float((-lam).max() / (1.0 + np.abs(lam).max()))]
-        worst += [float((lam[here] * np.abs(slack)).max(initial=0.0) / (1.0 + lam.max()))]
-        worst += [float(np.delete(lam, here).max(initial=0.0))]
+        worst += [float((lam[point] * np.abs(slack)).max(initial=0.0) / (1.0 + lam.max()))]
+        worst += [float(np.delete(lam, point).max(initial=0.0))]
     return max(worst)
 
 

@@ -33,8 +33,8 @@ def hildreth(
         sweeps += 1
         previous = lam.copy()
         for i in range(len(lam)):
-            others = sum(H[i, j] * lam[j] for j in range(len(lam)) if j != i)
-            lam[i] = max(0.0, -(d[i] + others) / H[i, i])
+            coupling = sum(H[i, j] * lam[j] for j in range(len(lam)) if j != i)
+            lam[i] = max(0.0, -(d[i] + coupling) / H[i, i])
         if ((lam - previous) ** 2).sum() < tolerance:
             break
     return -np.linalg.solve(E, K + M.T @ lam), lam, sweeps

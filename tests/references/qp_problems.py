@@ -15,19 +15,19 @@ Array = npt.NDArray[np.float64]
 
 def known_problems() -> Iterator[tuple[str, QP, Array]]:
     """The battery: (what it tests, problem, its exact solution), the solutions by hand or by construction."""
-    one = np.eye(2)
+    identity = np.eye(2)
     K = np.array([-3.0, -3.0])
-    yield "no rows at all", QP(one, K), np.array([3.0, 3.0])
-    yield "no row reached", QP(one, K, one, np.array([4.0, 4.0])), np.array([3.0, 3.0])
-    yield "one bound active", QP(one, K, one, np.array([1.0, 4.0])), np.array([1.0, 3.0])
-    yield "an absent row (gamma = inf)", QP(one, K, one, np.array([np.inf, 1.0])), np.array([3.0, 1.0])
+    yield "no rows at all", QP(identity, K), np.array([3.0, 3.0])
+    yield "no row reached", QP(identity, K, identity, np.array([4.0, 4.0])), np.array([3.0, 3.0])
+    yield "one bound active", QP(identity, K, identity, np.array([1.0, 4.0])), np.array([1.0, 3.0])
+    yield "an absent row (gamma = inf)", QP(identity, K, identity, np.array([np.inf, 1.0])), np.array([3.0, 1.0])
     twice = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    yield "the same row twice", QP(one, K, twice, np.ones(3)), np.array([1.0, 1.0])
+    yield "the same row twice", QP(identity, K, twice, np.ones(3)), np.array([1.0, 1.0])
     corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    yield "three rows through one corner", QP(one, K, corner, np.array([1.0, 1.0, 2.0])), np.array([1.0, 1.0])
+    yield "three rows through one corner", QP(identity, K, corner, np.array([1.0, 1.0, 2.0])), np.array([1.0, 1.0])
     both = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    yield "a row and its opposite: an equality", QP(one, K, both, np.array([1.0, -1.0])), np.array([1.0, 3.0])
-    yield "a row that holds without force", QP(one, K, one, np.array([3.0, 1.0])), np.array([3.0, 1.0])
+    yield "a row and its opposite: an equality", QP(identity, K, both, np.array([1.0, -1.0])), np.array([1.0, 3.0])
+    yield "a row that holds without force", QP(identity, K, identity, np.array([3.0, 1.0])), np.array([3.0, 1.0])
 
 
 def ill_conditioned_problem() -> tuple[QP, Array]:
@@ -94,8 +94,8 @@ def _prediction(speed: float, period: float, horizon: int) -> tuple[Array, Array
     a[2] = [-2 * (cf * lf - cr * lr) / (inertia * speed), 0, -2 * (cf * lf**2 + cr * lr**2) / (inertia * speed), 0,
             2 * cf * lf / inertia]  # fmt: skip
     a[3, :2] = 1.0, speed
-    held = expm(a * period)
-    a4, b4 = held[:4, :4], held[:4, 4]
+    transition = expm(a * period)
+    a4, b4 = transition[:4, :4], transition[:4, 4]
     augmented = np.zeros((5, 5))
     augmented[:4, :4], augmented[4, :4], augmented[4, 4] = a4, a4[3], 1.0
     b = np.append(b4, b4[3])

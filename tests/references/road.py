@@ -52,9 +52,9 @@ def nearest_by_search(road, x, y, step=1e-3, samples=None):
     ticks = np.unique((near[:, np.newaxis] + np.arange(-0.5 * spacing, 0.5 * spacing + step, step)).ravel() // step)
     fine = np.clip(ticks * step, 0.0, road.length)
     points = road.at(fine)
-    away = np.hypot(points.x - x, points.y - y)
-    k = int(away.argmin())
-    return float(fine[k]), float(away[k])
+    gap = np.hypot(points.x - x, points.y - y)
+    k = int(gap.argmin())
+    return float(fine[k]), float(gap[k])
 
 
 def feet_by_search(road, x, y, near, reach=400.0, step=0.25):
@@ -67,9 +67,9 @@ def feet_by_search(road, x, y, near, reach=400.0, step=0.25):
     cos, sin = np.cos(p.heading), np.sin(p.heading)
     slope = p.x * cos + p.y * sin - np.outer(x, cos) - np.outer(y, sin)
     minimum = (slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0)
-    away = np.where(minimum, np.abs(s[:-1] + 0.5 * step - near[:, np.newaxis]), np.inf)
-    nearest = np.argsort(away, axis=1)[:, :2]  # either may be the nearer one in the end
-    some = np.isfinite(np.take_along_axis(away, nearest, axis=1))
+    distance = np.where(minimum, np.abs(s[:-1] + 0.5 * step - near[:, np.newaxis]), np.inf)
+    nearest = np.argsort(distance, axis=1)[:, :2]  # either may be the nearer one in the end
+    some = np.isfinite(np.take_along_axis(distance, nearest, axis=1))
     low, high = s[nearest], s[nearest + 1]
     for _ in range(45):
         middle = 0.5 * (low + high)
@@ -78,8 +78,8 @@ def feet_by_search(road, x, y, near, reach=400.0, step=0.25):
         low, high = np.where(up, low, middle), np.where(up, middle, high)
     gone = np.where(some, np.abs(low - near[:, np.newaxis]), np.inf)
     best = gone.argmin(axis=1)[:, np.newaxis]
-    found, gone = (np.take_along_axis(each, best, axis=1)[:, 0] for each in (low, gone))
-    return np.where(gone <= reach, found, np.nan)
+    foot, gone = (np.take_along_axis(column, best, axis=1)[:, 0] for column in (low, gone))
+    return np.where(gone <= reach, foot, np.nan)
 
 
 def beside(road, s, offset):
