@@ -13,25 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.result import (
-    Axis,
-    Callout,
-    Column,
-    Dots,
-    HeatMap,
-    Panel,
-    Picture,
-    Polyline,
-    Result,
-    ResultTable,
-    Scale,
-)
+from adaptrack.base.result import SERIES, Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.results import draw, page, style, words, write_drive_page, write_result
-from adaptrack.results.dots import Dot, notes
+from adaptrack.results.dots import Dot, caption_notes
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
+from adaptrack.results.marks import ColourScale, draw_heat_map, log_ticks, set_log_scale
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from pictures import pictures
 
@@ -240,8 +229,8 @@ def said(answer, *pictures):
 
 def line(file):
     """A picture of a line."""
-    marks = [Polyline([0.0, 1.0], [0.0, 1.0])]
-    return Picture(file, "A line.", [Panel("Line", Axis("x"), Axis("y"), marks, "From 0 to 1.")], file=file)
+    panel = Panel("Line", lambda axes: axes.plot([0.0, 1.0], [0.0, 1.0]), "From 0 to 1.")
+    return Picture(file, "A line.", [panel], file=file)
 
 
 def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypatch):
@@ -354,7 +343,7 @@ def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
     figure = figure_of(tracking_picture, {"good": good, "bad": bad})
     error = figure.axes[1]
     assert error.get_ylim()[1] < 1.0  # the lost run reaches 5 m and more
-    ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == style.SERIES[1]]
+    ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == SERIES[1]]
     assert all(10.0 < end < 12.0 for end in ends)
 
 
@@ -446,16 +435,16 @@ def test_numbers_are_written_for_readers(value, text):
     ],
 )
 def test_a_logarithmic_axis_has_round_numbers_however_short_it_is(low, high, ticks):
-    assert style.log_ticks(low, high)() == pytest.approx(ticks)
+    assert log_ticks(low, high)() == pytest.approx(ticks)
     axes = Figure().subplots()
-    style.logarithmic(axes, "y", (low, high))
+    set_log_scale(axes, "y", (low, high))
     assert axes.get_ylim() == (low, high)
     assert [label.get_text() for label in axes.get_yticklabels()] == [f"{tick:g}" for tick in ticks]
 
 
 def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once():
     titles = {"One": "Share (%)", "Two": "Share (%)", "Three": "Cost (m²)"}
-    panels = [Panel(title, Axis(), Axis(label), [], "") for title, label in titles.items()]
+    panels = [Panel(title, lambda axes, label=label: axes.set_ylabel(label), "") for title, label in titles.items()]
     figure = draw.print_figure(Picture("any", "", panels, columns=2))
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) One", "(b) Two", "(c) Three"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["Share (%)", "", "Cost (m²)"]
@@ -464,8 +453,8 @@ def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once()
 
 
 def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
-    panel = Panel(r"$\log_{10} R/Q$", Axis(), Axis(), [], r"Over $|y_\mathrm{ref}|$: 3 to 4.")
-    assert draw.described(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
+    panel = Panel(r"$\log_{10} R/Q$", print, r"Over $|y_\mathrm{ref}|$: 3 to 4.")
+    assert draw.describe_panel(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
 
 
 def test_the_colours_of_several_maps_span_all_their_numbers():
@@ -477,20 +466,12 @@ def test_the_colours_of_several_maps_span_all_their_numbers():
 
 @pytest.mark.parametrize("image", [False, True])
 def test_a_heat_map_shows_its_numbers_where_they_belong(image):
-    heat = HeatMap([0.0, 10.0, 20.0], [0.3, 1.0], [[1.0, 2.0]], Scale(1.0, 2.0), image=image)
-    axes = draw.panel_figure(Panel("Map", Axis("Speed (m/s)"), Axis("Friction (–)"), [heat], "1 to 2.")).axes[0]
+    axes = Figure(layout="constrained").subplots()
+    draw_heat_map(axes, [0.0, 10.0, 20.0], [0.3, 1.0], [[1.0, 2.0]], ColourScale(1.0, 2.0), image=image)
     (drawn,) = axes.images if image else axes.collections
     assert np.ravel(drawn.get_array()).tolist() == [1.0, 2.0]
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 20.0), (0.3, 1.0))
     assert (drawn.norm.vmin, drawn.norm.vmax) == (1.0, 2.0)
-
-
-def test_words_apart_from_their_point_are_joined_to_it():
-    said = Callout(1.0, 2.0, "here", (1.5, 2.5), at_left=True)
-    axes = draw.panel_figure(Panel("", Axis(high=3.0), Axis(high=3.0), [Dots([1.0], [2.0]), said], "")).axes[0]
-    (words,) = axes.texts
-    assert (words.get_text(), words.xy, words.xyann) == ("here", (1.0, 2.0), (1.5, 2.5))
-    assert words.arrow_patch is not None
 
 
 def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():
@@ -508,7 +489,7 @@ def test_the_full_record_can_be_read_back_from_the_page(report):
 
 def test_a_caption_explains_the_marks_that_are_drawn_and_no_others():
     dots = [Dot("a", 1.0), Dot("b", 1.1), Dot("c", 1.2)]
-    assert notes(dots) == ""
-    assert notes([*dots, Dot("d", 1.3, failed=True)]) == " Cross: failed runs."
-    assert notes([*dots, Dot("d", 99.0, failed=True)]) == " Arrow: beyond the axis."
-    assert notes([Dot(str(i), 1.0) for i in range(20)]) == " The first 14 of 20; the table has all."
+    assert caption_notes(dots) == ""
+    assert caption_notes([*dots, Dot("d", 1.3, failed=True)]) == " Cross: failed runs."
+    assert caption_notes([*dots, Dot("d", 99.0, failed=True)]) == " Arrow: beyond the axis."
+    assert caption_notes([Dot(str(i), 1.0) for i in range(20)]) == " The first 14 of 20; the table has all."

@@ -33,7 +33,7 @@ def length(metres: float) -> str:
 
 
 # -- roads ------------------------------------------------------------------------------------------------------------
-def of_road(summary: Mapping[str, Any], barred: int) -> str:
+def road_answer(summary: Mapping[str, Any], barred: int) -> str:
     """Whether a road can be driven, how long it is, how fast; barred: places that cannot."""
     radius = summary["smallest_radius"]
     bends = "straight" if radius is None else f"tightest radius {length(radius)}"
@@ -45,7 +45,7 @@ def of_road(summary: Mapping[str, Any], barred: int) -> str:
 
 
 # -- certificates -----------------------------------------------------------------------------------------------------
-def of_certificate(found: Certificate) -> str:
+def certificate_answer(found: Certificate) -> str:
     """The verdict; before it, where the loop is stable, whether its margins are thin, driving straight."""
     if not found.passed:
         return found.verdict

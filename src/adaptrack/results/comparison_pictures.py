@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from adaptrack.base.result import SERIES, Picture
+from adaptrack.base.result import MUTED, SERIES, Picture
 from adaptrack.comparison.table import Comparison
-from adaptrack.results.dots import Dot, dots_panel, notes
+from adaptrack.results.dots import Dot, caption_notes, dots_panel
 from adaptrack.results.words import data_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ADAPTIVE, _CONSTANT, _HINDSIGHT = SERIES[0], SERIES[1], "muted"
+_ADAPTIVE, _CONSTANT, _HINDSIGHT = SERIES[0], SERIES[1], MUTED
 """Colours of contenders that adapt their tuning, that keep one, and that need hindsight."""
 
 
@@ -24,7 +24,7 @@ def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Pict
     panel, size = dots_panel(dots, data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
     caption = (
         f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
-        f"hindsight.{notes(dots)}"
+        f"hindsight.{caption_notes(dots)}"
     )
     return Picture("verdict", caption, [panel], size=size)
 

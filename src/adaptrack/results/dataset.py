@@ -13,30 +13,26 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
-    REFERENCE,
-    Axis,
-    Bars,
+    BACKGROUND_STROKE,
+    REFERENCE_STROKE,
     Column,
-    Guide,
-    HeatMap,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Ribbon,
     Row,
-    Scale,
     Stroke,
 )
 from adaptrack.paper.campaign_config import STANDARD
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe
 from adaptrack.results.maps import edges_around
+from adaptrack.results.marks import ColourScale, draw_bars, draw_heat_map, draw_ribbon, include_y, set_log_scale
 from adaptrack.results.notebook import html
 from adaptrack.results.words import number, span
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
@@ -197,25 +193,34 @@ def histogram(target: TuningTarget) -> Panel:
     else:
         edges = np.linspace(low, high + 1e-9, BARS + 1)
     counts, _ = np.histogram(target.values, edges)
-    return Panel(
-        target.label, Axis(target.label, margin=0.03), Axis("Operating points (%)"),
-        [Bars(edges, 100.0 * counts / target.values.size), Guide("x", [target.standard], REFERENCE, 1.0)],
-        f"Share of the operating points in percent; values {span(target.values)}.",
-    )  # fmt: skip
+
+    def draw(axes: Axes) -> None:
+        draw_bars(axes, edges, 100.0 * counts / target.values.size)
+        axes.axvline(target.standard, linewidth=1.0, **REFERENCE_STROKE.look)
+        axes.set(xlabel=target.label, ylabel="Operating points (%)")
+        axes.margins(x=0.03)
+
+    return Panel(target.label, draw, f"Share of the operating points in percent; values {span(target.values)}.")
 
 
 def gain_panel(rows: DataSet) -> Panel:
     """Cost of the standard tuning over the cost of the swarm's best, by speed."""
     speed, gain = rows.operating_points[:, 0], rows.standard_costs / rows.costs
     bins = _bin_numbers(speed, _bin_edges(speed))
-    by_bin = [bins == number for number in np.unique(bins)]
+    by_bin = [bins == chosen for chosen in np.unique(bins)]
     middles = [float(np.median(speed[members])) for members in by_bin]
     low, median, high = np.array([np.quantile(gain[members], (0.25, 0.5, 0.75)) for members in by_bin]).T
-    return Panel(
-        "Standard over best", Axis("Speed (m/s)", margin=0.02), Axis("Cost ratio (–)", log=True, include=[1.0]),
-        [Guide("y", [1.0], width=0.7), Ribbon(middles, low, high), Polyline(middles, median, Stroke(), markers=True)],
-        f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}.",
-    )  # fmt: skip
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(1.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        draw_ribbon(axes, middles, low, high)
+        axes.plot(middles, median, **Stroke().look, marker="o", markersize=3.5)
+        axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
+        axes.margins(x=0.02)
+        set_log_scale(axes, "y", include_y(axes, 1.0))
+
+    description = f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}."
+    return Panel("Standard over best", draw, description)
 
 
 def optimum_maps(rows: DataSet) -> list[Panel]:
@@ -235,9 +240,13 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
     for line, column in set(zip(lines.tolist(), columns.tolist(), strict=True)):
         medians[line, column] = np.median(target.values[(lines == line) & (columns == column)])
     low, high = float(target.values.min()), float(target.values.max())
-    scale = Scale(low, high if high > low else low + 1.0, whole=target.whole)
-    heat = HeatMap(x_edges, y_edges, medians, scale)
-    return Panel(target.label, Axis("Speed (m/s)"), Axis(label), [heat], f"Medians {span(medians)}.")
+    scale = ColourScale(low, high if high > low else low + 1.0, whole=target.whole)
+
+    def draw(axes: Axes) -> None:
+        draw_heat_map(axes, x_edges, y_edges, medians, scale)
+        axes.set(xlabel="Speed (m/s)", ylabel=label)
+
+    return Panel(target.label, draw, f"Medians {span(medians)}.")
 
 
 def _bin_edges(values: Array) -> Array:

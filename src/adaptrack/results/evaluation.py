@@ -5,18 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Axis, Column, HeatMap, Panel, Picture, Result, ResultTable, Row, Scale, where
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, where
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.comparison_pictures import ratios_picture
-from adaptrack.results.words import INPUTS, counted, data_text, number, plain, span, title_of
+from adaptrack.results.marks import ColourScale, draw_heat_map
+from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Mapping[str, Comparison]]
@@ -147,24 +152,24 @@ def lowest(rows: Sequence[Row], columns: Sequence[str]) -> set[tuple[int, str]]:
 def regret_maps(comparison: Comparison) -> Picture:
     """The regret of the main contenders over speed and friction, and over speed and the lateral reference."""
     speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
-    axes = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
+    quantities = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
     contenders = [name for name in MAPPED if name in comparison.contenders and name != comparison.reference]
-    cells = int(np.clip(math.sqrt(len(speed) / CELL_POINTS), MIN_CELLS, MAX_CELLS))
+    count = int(np.clip(math.sqrt(len(speed) / CELL_POINTS), MIN_CELLS, MAX_CELLS))
     maps = {
-        (name, axis): binned_geometric_mean(comparison.regret(name), speed, y, cells)
+        (name, quantity): binned_geometric_mean(comparison.regret(name), speed, values, count)
         for name in contenders
-        for axis, (y, _) in axes.items()
+        for quantity, (values, _) in quantities.items()
     }
     means = np.concatenate([values.ravel() for _, _, values in maps.values()])
     low, high = min(1.0, float(np.nanmin(means))), float(np.nanmax(means))
     beyond = "max" if high > CEILING else "neither"
-    scale = Scale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
+    scale = ColourScale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
     panels = [
         Panel(
-            data_text(label_of(name)), Axis("Speed (m/s)"), Axis(axes[axis][1]), [HeatMap(x, y, values, scale)],
-            f"Geometric mean regret over speed and {axis}: {span(values)}.",
+            data_text(label_of(name)), partial(_draw_map, cells=cells, label=quantities[quantity][1], scale=scale),
+            f"Geometric mean regret over speed and {quantity}: {span(cells[2])}.",
         )
-        for (name, axis), (x, y, values) in maps.items()
+        for (name, quantity), cells in maps.items()
     ]  # fmt: skip
     caption = (
         "Regret over the domain: geometric mean of the operating points in a cell. All maps share one logarithmic "
@@ -180,12 +185,12 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     for k, (symbol, unit) in enumerate(OUTPUT_LABELS):
         scale = shared_scale([surface[..., k] for surface in surfaces.values()], whole=k < 2)
         for name, schedule in schedules.items():
-            label, input_unit = INPUTS[schedule.inputs[1]]
-            values = surfaces[name][..., k]
-            heat = HeatMap(schedule.domain[0], schedule.domain[1], values, scale, image=True)
+            label, input_unit = INPUT_LABELS[schedule.inputs[1]]
+            cells = schedule.domain[0], schedule.domain[1], surfaces[name][..., k]
             panels.append(Panel(
-                f"{data_text(label_of(name))}: {symbol} ({unit})", Axis("Speed (m/s)"), Axis(f"{label} ({input_unit})"),
-                [heat], f"{plain(symbol)} over speed and {label.lower()}: {span(values)}.",
+                f"{data_text(label_of(name))}: {symbol} ({unit})",
+                partial(_draw_map, cells=cells, label=f"{label} ({input_unit})", scale=scale, image=True),
+                f"{plain(symbol)} over speed and {label.lower()}: {span(cells[2])}.",
             ))  # fmt: skip
     caption = (
         "The learned tuning over speed and the reference ahead, with the other inputs in the middle of their domain "
@@ -195,11 +200,20 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     return Picture("surfaces", caption, panels, file="surfaces.png", columns=columns, row_height=2.1)
 
 
-def shared_scale(values: Sequence[Array], whole: bool) -> Scale:
+def _draw_map(
+    axes: Axes, cells: tuple[Array, Array, Array], label: str, scale: ColourScale, image: bool = False
+) -> None:
+    """Draw values over speed and another quantity; cells: edges along both, and the values."""
+    draw_heat_map(axes, *cells, scale, image=image)
+    axes.set(xlabel="Speed (m/s)", ylabel=label)
+
+
+def shared_scale(values: Sequence[Array], whole: bool) -> ColourScale:
     """From the lowest to the highest of all values; half a unit on either side where they are one number."""
     everything = np.concatenate([part.ravel() for part in values])
     low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
-    return Scale(low, high, whole=whole) if high > low else Scale(low - 0.5, high + 0.5, whole=whole)
+    margin = 0.0 if high > low else 0.5
+    return ColourScale(low - margin, high + margin, whole=whole)
 
 
 def _surface(schedule: Schedule) -> Array:

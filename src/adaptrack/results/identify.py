@@ -5,36 +5,34 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptrack.base.files import write_atomically
 from adaptrack.base.result import (
-    BACKGROUND,
-    REFERENCE,
+    MUTED,
     SERIES,
-    Axis,
-    Bars,
     Column,
-    Dots,
-    Guide,
-    HeatMap,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
     Row,
-    Scale,
     Stroke,
     where,
 )
 from adaptrack.identification import Estimate, Identification
 from adaptrack.identification.quantities import degrees_per_g
+from adaptrack.results.marks import ColourScale, draw_bars, draw_dots, draw_heat_map
+from adaptrack.results.run_pictures import turning_part
 from adaptrack.results.words import capital, number
 
-MEASURED, SIMULATED = Stroke(SERIES[0]), Stroke(SERIES[1])
-SHOWN = 30.0
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MEASURED, _SIMULATED, _BOUND = Stroke(SERIES[0]), Stroke(SERIES[1]), Stroke(MUTED, "dashed")
+_SECONDS = 30.0
 """s of the log that the first picture shows: those with the most turning."""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
           "kg m^2": ("kg m²", 1.0), "m/s^2": ("m/s²", 1.0), "-": ("", 1.0)}  # fmt: skip
@@ -45,7 +43,7 @@ _NAMES = {
 }  # fmt: skip
 _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
 
-CONSOLE = (
+ESTIMATE_COLUMNS = (
     Column("quantity", "quantity"),
     Column("value", "value"),
     Column("low", "90 % from"),
@@ -53,7 +51,7 @@ CONSOLE = (
     Column("unit", "unit"),
     Column("before", "believed before"),
 )
-PAGE = (
+QUANTITY_COLUMNS = (
     Column("label", "Quantity"),
     Column("unit", "Unit"),
     Column("value", "Value", show=3),
@@ -138,9 +136,9 @@ def _tables(found: Identification) -> list[ResultTable]:
     rows = [_in_units(each) for each in known]
     title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
     return [
-        ResultTable("console", title, CONSOLE, plain, brief=True),
+        ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
         ResultTable(
-            "quantities", "Quantities with their 90 % intervals", PAGE, rows,
+            "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
             best=where(rows, ["value"], lambda row: True),
         ),
         *_of_each_log(found),
@@ -167,66 +165,68 @@ def _of_each_log(found: Identification) -> list[ResultTable]:
 
 def _measured_and_simulated(found: Identification) -> Picture:
     series = found.series
-    turning = np.nan_to_num(series.measured) ** 2
-    total = np.concatenate([[0.0], np.cumsum(turning)])
-    ends = np.searchsorted(series.time, series.time + SHOWN, side="right")
-    first = int(np.argmax(total[ends] - total[np.arange(turning.size)]))
-    part = slice(first, int(ends[first]))
-    panel = Panel(
-        "Yaw rate", Axis("Time (s)"), Axis("Yaw rate (rad/s)"),
-        [
-            Polyline(series.time[part], series.measured[part], MEASURED, width=0.9),
-            Polyline(series.time[part], series.simulated[part], SIMULATED),
-        ],
-        "Measured and simulated from the command alone, in the stretch with most turning.",
-    )  # fmt: skip
+    part = turning_part(series.time, series.measured, _SECONDS)
+
+    def draw(axes: Axes) -> None:
+        axes.plot(series.time[part], series.measured[part], **_MEASURED.look, linewidth=0.9)
+        axes.plot(series.time[part], series.simulated[part], **_SIMULATED.look)
+        axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
+
+    panel = Panel("Yaw rate", draw, "Measured and simulated from the command alone, in the stretch with most turning.")
     caption = (
-        f"The {SHOWN:.0f} s with the most turning. Simulated from the command alone, without wind: what differs slowly "
-        "is wind and road."
+        f"The {_SECONDS:.0f} s with the most turning. Simulated from the command alone, without wind: what differs "
+        "slowly is wind and road."
     )
-    return Picture("yaw_rate", caption, [panel], [("measured", MEASURED), ("simulated", SIMULATED)])
+    return Picture("yaw_rate", caption, [panel], [("measured", _MEASURED), ("simulated", _SIMULATED)])
 
 
 def _residuals(found: Identification) -> Picture:
     series, correlation = found.series, found.validation.autocorrelation
-    dashed = Stroke(BACKGROUND.colour, REFERENCE.dash)
     bound = 2.0 / math.sqrt(max(int(np.isfinite(series.innovations).sum()), 1))
+
+    def draw_errors(axes: Axes) -> None:
+        draw_dots(axes, series.time, series.innovations, marker=".", size=1.2)
+        _draw_bounds(axes, 2.0)
+        axes.set(xlabel="Time (s)", ylabel="Error / its σ")
+
+    def draw_correlation(axes: Axes) -> None:
+        draw_bars(axes, np.arange(len(correlation) + 1) + 0.5, correlation, fill=0.6)
+        _draw_bounds(axes, bound)
+        axes.set(xlabel="Lag (samples)", ylabel="Autocorrelation", ylim=(-0.3, 0.3))
+
     panels = [
-        Panel(
-            "One-step errors", Axis("Time (s)"), Axis("Error / its σ"),
-            [Dots(series.time, series.innovations, marker="point", size=1.2), Guide("y", (-2.0, 2.0), dashed)],
-            "Errors of the yaw rate over their standard deviation.",
-        ),
-        Panel(
-            "Are they white?", Axis("Lag (samples)"), Axis("Autocorrelation", -0.3, 0.3),
-            [
-                Bars(np.arange(len(correlation) + 1) + 0.5, correlation, fill=0.6),
-                Guide("y", (-bound, bound), dashed),
-            ],
-            "Autocorrelation at lags 1 to 5 with the bounds of white noise.",
-        ),
-    ]  # fmt: skip
+        Panel("One-step errors", draw_errors, "Errors of the yaw rate over their standard deviation."),
+        Panel("Are they white?", draw_correlation, "Autocorrelation at lags 1 to 5 with the bounds of white noise."),
+    ]
     return Picture(
         "residuals", "One step ahead, in standard deviations; dashed: ±2σ, and the bounds of white noise.", panels
     )
 
 
+def _draw_bounds(axes: Axes, bound: float) -> None:
+    for level in (-bound, bound):
+        axes.axhline(level, linewidth=0.8, **_BOUND.look)
+
+
 def _excited(found: Identification) -> Picture:
     log, angle = found.log, np.degrees(found.series.wheel_angle)
     most = max(float(np.percentile(np.abs(angle), 99.5)), 0.1)
-    seconds, x, y = np.histogram2d(log.speed, np.clip(angle, -most, most), bins=(24, 25))
-    seconds = np.where(seconds > 0.0, seconds * log.period, np.nan)
-    scale = Scale(float(np.nanmin(seconds)), float(np.nanmax(seconds)), "Time (s)", log=True)
+    counts, speeds, angles = np.histogram2d(log.speed, np.clip(angle, -most, most), bins=(24, 25))
+    seconds = np.where(counts > 0.0, counts * log.period, np.nan)
+    scale = ColourScale(float(np.nanmin(seconds)), float(np.nanmax(seconds)), "Time (s)", log=True)
+
+    def draw_time(axes: Axes) -> None:
+        draw_heat_map(axes, speeds, angles, seconds.T, scale)
+        axes.set(xlabel="Speed (m/s)", ylabel="Wheel angle (°)")
+
+    def draw_acceleration(axes: Axes) -> None:
+        draw_dots(axes, log.speed, log.speed * log.yaw_rate, marker=".", size=1.2)
+        axes.set(xlabel="Speed (m/s)", ylabel="Speed × yaw rate (m/s²)")
+
+    longest = f"How long the log was at each speed and wheel angle, up to {number(scale.high)} s."
     panels = [
-        Panel(
-            "Speed and steering", Axis("Speed (m/s)"), Axis("Wheel angle (°)"), [HeatMap(x, y, seconds.T, scale)],
-            f"How long the log was at each speed and wheel angle, up to {number(scale.high)} s.",
-        ),
-        Panel(
-            "Lateral acceleration", Axis("Speed (m/s)"), Axis("Speed × yaw rate (m/s²)"),
-            [Dots(log.speed, log.speed * log.yaw_rate, marker="point", size=1.2)],
-            "Speed times yaw rate over the speed.",
-        ),
-    ]  # fmt: skip
+        Panel("Speed and steering", draw_time, longest),
+        Panel("Lateral acceleration", draw_acceleration, "Speed times yaw rate over the speed."),
+    ]
     caption = "Where the log has been: stiffness shows in steering at speed, the delay in quick steering anywhere."
     return Picture("excited", caption, panels)

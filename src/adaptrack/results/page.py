@@ -18,7 +18,7 @@ from markupsafe import Markup
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.html import content_policy
-from adaptrack.base.result import Column, Panel, Result, ResultTable, Stroke
+from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
 from adaptrack.base.text import printable
 from adaptrack.results import draw, style
 from adaptrack.results.words import (
@@ -100,11 +100,11 @@ def _environment() -> jinja2.Environment:
 
     def inline(panel: Panel, size: tuple[float, float] | None = None) -> Markup:
         figure = draw.panel_figure(panel, size)
-        return Markup(style.inline_svg(figure, f"p{next(counter)}", draw.described(panel)))
+        return Markup(style.inline_svg(figure, f"p{next(counter)}", draw.describe_panel(panel)))
 
     environment.filters |= {
         "inline": inline, "anchor": slug,
-        "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(style.hex_of(stroke.colour)),
+        "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(stroke.colour),
         "dashes": _dashes,
         "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
         "title_of": title_of, "span": span,
@@ -126,7 +126,7 @@ def _printable(value: Any) -> Any:
 
 def _dashes(stroke: Stroke) -> str:
     """The SVG dash pattern of a stroke 2 wide; empty for a solid line."""
-    pattern = style.DASHES[stroke.dash]
+    pattern = DASHES[stroke.dash]
     return "" if pattern == "-" else " ".join(f"{2 * length:g}" for length in pattern[1])
 
 

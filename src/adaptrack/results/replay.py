@@ -18,7 +18,7 @@ from markupsafe import Markup
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
 from adaptrack.drive.predicted import PredictedPaths
-from adaptrack.results.draw import shades
+from adaptrack.results.marks import deviation_colours
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.results.road_pictures import Drives, outline_stations, road_span, scale_of
 from adaptrack.road import Road
@@ -79,10 +79,18 @@ def replay_data(drives: Drives) -> dict[str, Any]:
     return {
         "road": _road(shown[0].road, road_span(shown)),
         "top": scale_of(shown),
-        "shades": shades(SHADES),
+        "shades": _shades(),
         "period": round(float(np.median(np.diff(shown[0].time[sampled(shown[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
+
+
+def _shades() -> list[str]:
+    """The colours of the trail in CSS's notation, from no deviation to the largest."""
+    from matplotlib.colors import to_hex
+
+    colours = deviation_colours()
+    return [to_hex(colours(share)) for share in np.linspace(0.0, 1.0, SHADES)]
 
 
 def packed(values: Array, unit: float) -> dict[str, Any]:

@@ -5,34 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.result import (
-    BACKGROUND,
-    REFERENCE,
+    BACKGROUND_STROKE,
+    INK,
+    MUTED,
     SERIES,
-    Axis,
-    ColouredLine,
     Column,
-    Dots,
-    Heading,
-    Mark,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Scale,
-    Stripe,
     Stroke,
 )
-from adaptrack.results.answers import of_road
+from adaptrack.results.answers import road_answer
+from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots
 from adaptrack.results.words import data_text
 from adaptrack.road import Finding, Road, SpeedPlan
 
-SAMPLES = 4000
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LINE_POINTS = 4000
 """Points of the drawn line."""
 
 SUMMARY = (Column("what", "what"), Column("value", "value"))
@@ -58,7 +55,7 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
     return Result(
         kind="road",
         title=road.name,
-        answer=of_road(summary, len(barred)),
+        answer=road_answer(summary, len(barred)),
         record={
             **summary, "drivable": not barred, "notes": list(road.notes), "limits": limits_record(plan),
             "rows": [asdict(each) for each in findings],
@@ -110,38 +107,50 @@ def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
 
 def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Picture:
     """From above, coloured by the speed, with curvature and speed along it; places that cannot be driven are marked."""
-    s = np.linspace(0.0, road.length, SAMPLES)
-    barred = [each for each in findings if not each.drivable]
-    marked: list[Mark] = [
-        Stripe("x", each.start, max(each.end, each.start + 0.003 * road.length), SERIES[1], 0.3) for each in barred
-    ]
-    station = Axis("Along the road (m)", 0.0, road.length)
-    speed: list[Mark] = [Polyline(s, plan.at(s)), *marked]
-    if road.speed_limit is not None:
-        speed.insert(1, Polyline(s, road.along("speed_limit", s), Stroke(BACKGROUND.colour, REFERENCE.dash)))
+    s = np.linspace(0.0, road.length, LINE_POINTS)
+    barred = [finding for finding in findings if not finding.drivable]
+
+    def draw_curvature(axes: Axes) -> None:
+        axes.plot(s, road.at(s).curvature, **Stroke().look)
+        label_station(axes, "Curvature (1/m)")
+
+    def draw_speed(axes: Axes) -> None:
+        axes.plot(s, plan.at(s), **Stroke().look)
+        if road.speed_limit is not None:
+            axes.plot(s, road.along("speed_limit", s), **Stroke(MUTED, "dashed").look)
+        label_station(axes, "Speed (m/s)")
+        axes.set_ylim(bottom=0.0)
+
+    def label_station(axes: Axes, label: str) -> None:
+        for finding in barred:
+            end = max(finding.end, finding.start + 0.003 * road.length)
+            axes.axvspan(finding.start, end, color=SERIES[1], alpha=0.3, linewidth=0.0)
+        axes.set(xlabel="Along the road (m)", xlim=(0.0, road.length), ylabel=label)
+
     lap = "lap of " if road.closed else ""
     title = data_text(f"{road.name}: {lap}{road.length:.0f} m, {plan.duration:.0f} s")
     panels = [
-        Panel(title, Axis("x (m)"), Axis("y (m)"), _from_above(road, plan, s, barred), "The road from above.",
-              to_scale=True, height=4.0),
-        Panel("Curvature", station, Axis("Curvature (1/m)"), [Polyline(s, road.at(s).curvature), *marked],
-              "Curvature along the road."),
-        Panel("Speed", station, Axis("Speed (m/s)", low=0.0), speed, "Planned speed along the road."),
-    ]  # fmt: skip
+        Panel(title, lambda axes: _draw_from_above(axes, road, plan, s, barred), "The road from above.", height=4.0),
+        Panel("Curvature", draw_curvature, "Curvature along the road."),
+        Panel("Speed", draw_speed, "Planned speed along the road."),
+    ]
     caption = "The road from above, coloured by the planned speed; curvature and speed along it."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 
 
-def _from_above(road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> list[Mark]:
+def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> None:
     points, speed = road.at(s), plan.at(s)
-    scale = Scale(float(speed.min()), max(float(speed.max()), float(speed.min()) + 0.1), "Speed (m/s)")
-    places = [road.at(0.5 * (each.start + each.end)) for each in barred]
-    ahead = 0.03 * math.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
+    for edge in road.edges(s):
+        axes.plot(*edge.T, **BACKGROUND_STROKE.look, linewidth=0.5)
+    slowest, fastest = float(speed.min()), float(speed.max())
+    scale = ColourScale(slowest, max(fastest, slowest + 0.1), "Speed (m/s)")
+    draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
+    places = [road.at(0.5 * (finding.start + finding.end)) for finding in barred]
+    draw_dots(axes, [float(place.x) for place in places], [float(place.y) for place in places], SERIES[1], "cross", 8.0)
+    arrow = 0.03 * math.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
     start = road.at(0.0)
     x, y, heading = float(start.x), float(start.y), float(start.heading)
-    return [
-        *(Polyline(edge[:, 0], edge[:, 1], BACKGROUND, width=0.5) for edge in road.edges(s)),
-        ColouredLine(points.x, points.y, speed[:-1], scale),
-        Dots([float(each.x) for each in places], [float(each.y) for each in places], SERIES[1], "cross", 8.0),
-        Heading((x, y), (x + ahead * math.cos(heading), y + ahead * math.sin(heading))),
-    ]
+    tip = x + arrow * math.cos(heading), y + arrow * math.sin(heading)
+    axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.5})
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="datalim")

@@ -4,37 +4,46 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
-    BACKGROUND,
-    NEUTRAL,
-    REFERENCE,
-    Axis,
+    BACKGROUND_STROKE,
+    INK,
+    REFERENCE_STROKE,
+    SHARED_STROKE,
     Dash,
-    Dots,
-    Guide,
-    Mark,
     Panel,
     Picture,
-    Polyline,
     Stroke,
     strokes,
 )
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results.marks import (
+    add_degrees,
+    add_line_key,
+    draw_dots,
+    include_y,
+    set_log_scale,
+    set_whole_ticks,
+    write_remark,
+)
 from adaptrack.results.words import data_text, plain, span
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
 """Label -> run, in the order of the legend."""
 Value = Callable[[Trajectory], Array]
-Key = list[tuple[str, Stroke]]
+"""A function that returns a signal of a run."""
 
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 CREEPING = 3.0
@@ -93,38 +102,46 @@ def _last_drawn(run: Trajectory, failed: int) -> float:
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
-def _panel(
-    title: str, up: Axis, lines: Lines, value: Value, marks: Sequence[Mark], remark: str = "",
-    key: Sequence[tuple[str, Stroke]] = (),
-) -> Panel:  # fmt: skip
-    """A panel over time or station; value: the quantity whose range its alternative text has."""
+def _panel(title: str, label: str, lines: Lines, value: Value, draw: Callable[[Axes], None]) -> Panel:
+    """A panel over time or station; value: the quantity whose ranges stand in the alternative text."""
     along = any(line.run.road for line in lines)
+
+    def draw_over(axes: Axes) -> None:
+        axes.set(xlabel="Station s (m)" if along else "Time (s)", xlim=_station(lines) if along else _time(lines))
+        axes.set(ylabel=label)
+        draw(axes)
+
     ranges = "; ".join(f"{line.label}: {span(value(line.run))}" for line in lines)
-    description = f"{plain(up.label)}, over {'the station' if along else 'time'}. {ranges}."
-    return Panel(title, _station(lines) if along else _time(lines), up, marks, description, remark, key)
+    description = f"{plain(label)}, over {'the station' if along else 'time'}. {ranges}."
+    return Panel(title, draw_over, description)
 
 
-def _time(lines: Lines) -> Axis:
-    return Axis("Time (s)", float(min(line.run.t[0] for line in lines)), max(line.end for line in lines))
+def _time(lines: Lines) -> tuple[float, float]:
+    return float(min(line.run.t[0] for line in lines)), max(line.end for line in lines)
 
 
-def _station(lines: Lines) -> Axis:
+def _station(lines: Lines) -> tuple[float, float]:
     low = float(min(np.nanmin(line.x, initial=np.inf) for line in lines))
     high = max(low + 1.0, float(max(np.nanmax(line.x, initial=-np.inf) for line in lines)))
-    return Axis("Station s (m)", low, high + 0.04 * (high - low))  # room for the whole last number
+    return low, high + 0.04 * (high - low)  # room for the whole last number
 
 
 def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
-    """The speed reference (dashed), and the speeds that were driven."""
+    """The speed reference (dashed), and the driven speeds."""
 
     def speed(run: Trajectory) -> Array:
         return run.vx
 
-    forward = all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines)
-    marks = [*(_curve(line, line.run.vx) for line in lines), _shared(lines, lambda run: run.v_ref, REFERENCE)]
-    return _panel(
-        title, Axis("Speed (m/s)", low=0.0 if forward else None), lines, speed, [*marks, *_crosses(lines, speed)]
-    )
+    def draw(axes: Axes) -> None:
+        for line in lines:
+            _draw_curve(axes, line, line.run.vx)
+        longest = _longest(lines)
+        _draw_curve(axes, longest, longest.run.v_ref, REFERENCE_STROKE, linewidth=1.0)
+        if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
+            axes.set_ylim(bottom=0.0)
+        _draw_crosses(axes, lines, speed)
+
+    return _panel(title, "Speed (m/s)", lines, speed, draw)
 
 
 def tracking_panels(lines: Lines) -> list[Panel]:
@@ -134,19 +151,24 @@ def tracking_panels(lines: Lines) -> list[Panel]:
             "Lateral acceleration", "Lateral acc. (m/s²)", lines, lambda run: run.lateral_acceleration
         )
         return [error_panel(lines), _steering(lines), speed_panel(lines), acceleration]
-    low, high, start = _frame(lines, lambda run: run.Y)
-    position = [
-        *(_curve(line, line.run.Y) for line in lines),
-        _shared(lines, lambda run: run.y_ref, REFERENCE),
-        *_crosses(lines, lambda run: run.Y),
-    ]
-    return [
-        _panel("Trajectory tracking", Axis("Lateral position (m)", low, high), lines, lambda run: run.Y, position,
-               start),
-        error_panel(lines),
-        _steering(lines),
-        _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
-    ]  # fmt: skip
+    yaw_rate = _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate)
+    return [_position(lines), error_panel(lines), _steering(lines), yaw_rate]
+
+
+def _position(lines: Lines) -> Panel:
+    def position(run: Trajectory) -> Array:
+        return run.Y
+
+    limits, start = _frame(lines, position)
+
+    def draw(axes: Axes) -> None:
+        for line in lines:
+            _draw_curve(axes, line, line.run.Y)
+        longest = _longest(lines)
+        _draw_curve(axes, longest, longest.run.y_ref, REFERENCE_STROKE, linewidth=1.0)
+        _frame_curves(axes, lines, position, limits, start)
+
+    return _panel("Trajectory tracking", "Lateral position (m)", lines, position, draw)
 
 
 def error_panel(lines: Lines) -> Panel:
@@ -155,28 +177,43 @@ def error_panel(lines: Lines) -> Panel:
 
 
 def _signal(
-    title: str, label: str, lines: Lines, value: Value, before: Sequence[Mark] = (), after: Sequence[Mark] = (),
-    remark: str = "", degrees: bool = False,
+    title: str, label: str, lines: Lines, value: Value, draw_more: Callable[[Axes], None] | None = None,
+    remark: str = "",
 ) -> Panel:  # fmt: skip
-    """One curve per run around a zero line."""
-    low, high, start = _frame(lines, value)
-    curves = [_curve(line, value(line.run)) for line in lines]
-    marks = [*before, Guide("y", [0.0], width=0.7), *curves, *after, *_crosses(lines, value)]
-    remark = ",  ".join(filter(None, (start, remark)))
-    return _panel(title, Axis(label, low, high, degrees=degrees), lines, value, marks, remark)
+    """One curve per run around a zero line; draw_more: what to draw under the curves."""
+    limits, start = _frame(lines, value)
+
+    def draw(axes: Axes) -> None:
+        if draw_more:
+            draw_more(axes)
+        axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        for line in lines:
+            _draw_curve(axes, line, value(line.run))
+        _frame_curves(axes, lines, value, limits, ",  ".join(filter(None, (start, remark))))
+
+    return _panel(title, label, lines, value, draw)
 
 
 def _steering(lines: Lines) -> Panel:
-    """The angle of the wheels, of one run with the command behind it; degrees at the right."""
-    command: list[Mark] = []
-    if len(lines) == 1:
-        command = [_curve(lines[0], lines[0].run.command, BACKGROUND, 0.8, steps=True)]
-    held: list[Mark] = [
-        Dots(line.x[line.run.held], line.run.steering[line.run.held], line.stroke.colour, "square", 3.0)
-        for line in lines if line.run.held.any()
-    ]  # fmt: skip
-    remark = "□ held" if held else ""
-    return _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, command, held, remark, True)
+    """The angle of the wheels, for a single run with its command; squares mark held angles, degrees at the right."""
+    holding = [line for line in lines if line.run.held.any()]
+
+    def draw_command(axes: Axes) -> None:
+        if len(lines) == 1:
+            command = lines[0].run.command
+            _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
+        for line in holding:
+            held = line.run.held
+            draw_dots(axes, line.x[held], line.run.steering[held], line.stroke.colour, "square", 3.0)
+
+    remark = "□ held" if holding else ""
+    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, draw_command, remark)
+
+    def draw(axes: Axes) -> None:
+        signal.draw(axes)
+        add_degrees(axes)
+
+    return replace(signal, draw=draw)
 
 
 def condition_panels(lines: Lines) -> list[Panel]:
@@ -190,51 +227,69 @@ def condition_panels(lines: Lines) -> list[Panel]:
     for name, run in adapted.items():
         if name not in ("Np", "Nc", "Q", "R"):
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
-            marks = _tuned_curves(lines, name)
-            panels.append(_panel(data_text(name), Axis(label), lines, tuned(name), marks))
+            draw = partial(_draw_tuning, lines=lines, name=name)
+            panels.append(_panel(data_text(name), label, lines, tuned(name), draw))
     return panels
 
 
 def _gust(lines: Lines) -> Panel:
-    longitudinal = Stroke("ink", "dashed")
-    marks: list[Mark] = [Guide("y", [0.0], width=0.7), _shared(lines, lambda run: run.wind[:, 1])]
-    key: Key = []
-    if any(line.run.wind[:, 0].any() for line in lines):
-        marks.append(_shared(lines, lambda run: run.wind[:, 0], longitudinal))
-        key = [("lateral", NEUTRAL), ("longitudinal", longitudinal)]
-    return _panel("Lateral gust", Axis("Wind speed (m/s)"), lines, lambda run: run.wind[:, 1], marks, key=key)
+    longitudinal = Stroke(INK, "dashed")
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        longest = _longest(lines)
+        _draw_curve(axes, longest, longest.run.wind[:, 1], SHARED_STROKE, linewidth=1.0)
+        if any(line.run.wind[:, 0].any() for line in lines):
+            _draw_curve(axes, longest, longest.run.wind[:, 0], longitudinal, linewidth=1.0)
+            add_line_key(axes, [("lateral", SHARED_STROKE), ("longitudinal", longitudinal)])
+
+    return _panel("Lateral gust", "Wind speed (m/s)", lines, lambda run: run.wind[:, 1], draw)
 
 
 def _friction(lines: Lines) -> Panel:
     wheels = _distinct_wheels(lines)
     dashes: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dash-dot")
-    marks: list[Mark] = []
-    for dash, (wheel, _) in zip(dashes, wheels, strict=False):
-        marks.append(_shared(lines, lambda run, wheel=wheel: run.friction[:, wheel], Stroke("ink", dash)))  # type: ignore[misc]
-    key = [(name, Stroke("ink", dash)) for dash, (_, name) in zip(dashes, wheels, strict=False)]
-    up = Axis("Friction coefficient (–)", include=(0.45, 1.0))
-    return _panel("Road friction", up, lines, lambda run: run.friction, marks, key=key if len(wheels) > 1 else ())
+    wheel_strokes = [Stroke(INK, dash) for dash in dashes]
+
+    def draw(axes: Axes) -> None:
+        longest = _longest(lines)
+        for stroke, (wheel, _) in zip(wheel_strokes, wheels, strict=False):
+            _draw_curve(axes, longest, longest.run.friction[:, wheel], stroke, linewidth=1.0)
+        include_y(axes, 0.45, 1.0)
+        if len(wheels) > 1:
+            add_line_key(axes, [(name, stroke) for stroke, (_, name) in zip(wheel_strokes, wheels, strict=False)])
+
+    return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
 
 
 def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
-    marks = [*_tuned_curves(lines, "Np"), *_tuned_curves(lines, "Nc", "dotted")]
-    key = [("$N_p$", NEUTRAL), ("$N_c$", Stroke("ink", "dotted"))]
-    up = Axis("Control periods (–)", 0.0, top, whole=True)
-    return _panel("Horizons", up, lines, tuned("Nc", "Np"), marks, key=key)
+
+    def draw(axes: Axes) -> None:
+        _draw_tuning(axes, lines, "Np")
+        _draw_tuning(axes, lines, "Nc", "dotted")
+        axes.set_ylim(0.0, top)
+        set_whole_ticks(axes)
+        add_line_key(axes, [("$N_p$", SHARED_STROKE), ("$N_c$", Stroke(INK, "dotted"))])
+
+    return _panel("Horizons", "Control periods (–)", lines, tuned("Nc", "Np"), draw)
 
 
 def _weights(lines: Lines) -> Panel:
     weights = np.concatenate([tuned("Q", "R")(line.run).ravel() for line in lines])
     positive = weights[weights > 0.0]
-    low, high = None, None
+    limits = None
     if positive.size:
-        low = float(10.0 ** np.floor(np.log10(positive.min()) - 0.1))
-        high = float(10.0 ** np.ceil(np.log10(positive.max()) + 0.1))
-    marks = [*_tuned_curves(lines, "Q"), *_tuned_curves(lines, "R", "dotted")]
-    key = [("$Q$", NEUTRAL), ("$R$", Stroke("ink", "dotted"))]
-    up = Axis("$Q$ (1/m²), $R$ (1/rad²)", low, high, log=True)
-    return _panel("Weights", up, lines, tuned("Q", "R"), marks, key=key)
+        low, high = np.floor(np.log10(positive.min()) - 0.1), np.ceil(np.log10(positive.max()) + 0.1)
+        limits = float(10.0**low), float(10.0**high)
+
+    def draw(axes: Axes) -> None:
+        _draw_tuning(axes, lines, "Q")
+        _draw_tuning(axes, lines, "R", "dotted")
+        set_log_scale(axes, "y", limits)
+        add_line_key(axes, [("$Q$", SHARED_STROKE), ("$R$", Stroke(INK, "dotted"))])
+
+    return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuned("Q", "R"), draw)
 
 
 def tuned(*names: str) -> Value:
@@ -248,12 +303,10 @@ def tuned(*names: str) -> Value:
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
-def _curve(
-    line: DrawnRun, values: Array, stroke: Stroke | None = None, width: float = 1.3, steps: bool = False
-) -> Polyline:
-    """A signal of a run over its horizontal axis."""
+def _draw_curve(axes: Axes, line: DrawnRun, values: Array, stroke: Stroke | None = None, **look: Any) -> None:
+    """Draw a signal of a run over its horizontal axis."""
     keep = thinned(values)
-    return Polyline(line.x[keep], values[keep], stroke or line.stroke, width, "post" if steps else "")
+    axes.plot(line.x[keep], values[keep], **(stroke or line.stroke).look, **look)
 
 
 def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
@@ -266,30 +319,45 @@ def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
     return np.unique([0, *extremes, values.size - 1])
 
 
-def _tuned_curves(lines: Lines, name: str, dash: Dash = "solid") -> list[Mark]:
-    """A tuning entry of all runs that have it, as steps."""
-    return [
-        _curve(line, line.run.tuning[name], Stroke(line.stroke.colour, dash), steps=True)
-        for line in lines if name in line.run.tuning
-    ]  # fmt: skip
+def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
+    """The samples of the part of a log of so many seconds that turns most."""
+    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(yaw_rate) ** 2)])
+    ends = np.searchsorted(time, time + seconds, side="right")
+    first = int(np.argmax(total[ends] - total[np.arange(time.size)]))
+    return slice(first, int(ends[first]))
 
 
-def _crosses(lines: Lines, value: Value) -> list[Mark]:
-    """A cross where a failed run ends, at the edge of the frame when it left that too."""
-    marks: list[Mark] = []
-    for line in (line for line in lines if line.failed):
+def _draw_tuning(axes: Axes, lines: Lines, name: str, dash: Dash = "solid") -> None:
+    """Draw a tuning entry of all runs that have it, as steps."""
+    for line in lines:
+        if name in line.run.tuning:
+            stroke = Stroke(line.stroke.colour, dash)
+            _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
+
+
+def _frame_curves(axes: Axes, lines: Lines, value: Value, limits: tuple[float, float] | None, remark: str) -> None:
+    """Set the limits of the y axis and draw crosses and remark."""
+    if limits:
+        axes.set_ylim(limits)
+    _draw_crosses(axes, lines, value)
+    write_remark(axes, remark)
+
+
+def _draw_crosses(axes: Axes, lines: Lines, value: Value) -> None:
+    """Draw a cross where a failed run ends, at the edge of the frame if it left the frame."""
+    for line in lines:
         values = value(line.run)
         finite = np.flatnonzero(np.isfinite(values))
-        if finite.size:
+        if line.failed and finite.size:
             last = finite[-1]
-            marks.append(Dots([line.x[last]], [values[last]], line.stroke.colour, "cross", 6.0, at_edge=True))
-    return marks
+            x, y = np.clip(line.x[last], *axes.get_xlim()), np.clip(values[last], *axes.get_ylim())
+            look: dict[str, Any] = {"color": line.stroke.colour, "markersize": 6.0, "markeredgewidth": 1.8}
+            axes.plot([x], [y], "x", scalex=False, scaley=False, clip_on=False, **look)
 
 
-def _shared(lines: Lines, value: Value, stroke: Stroke = NEUTRAL) -> Mark:
-    """A signal of the scenario, which all runs share, from the longest run."""
-    longest = max(lines, key=lambda line: len(line.run))
-    return _curve(longest, value(longest.run), stroke, 1.0)
+def _longest(lines: Lines) -> DrawnRun:
+    """The longest run: it has the whole of a signal that all runs share."""
+    return max(lines, key=lambda line: len(line.run))
 
 
 def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
@@ -306,8 +374,8 @@ def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
     return list(enumerate(_WHEELS))
 
 
-def _frame(lines: Lines, value: Value) -> tuple[float | None, float | None, str]:
-    """The ends of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
+def _frame(lines: Lines, value: Value) -> tuple[tuple[float, float] | None, str]:
+    """The limits of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
 
     A start from standstill may need wild steering for a second or two. Where that would flatten all the rest, it
     leaves the frame, and a line above the panel says how far it goes. A run that failed does not set the frame; where
@@ -319,15 +387,15 @@ def _frame(lines: Lines, value: Value) -> tuple[float | None, float | None, str]
     everything = _extent(np.concatenate([value(run) for run in framed]))
     driving = _extent(np.concatenate([value(run)[run.vx >= CREEPING] for run in framed]))
     if everything is None:
-        return None, None, ""
+        return None, ""
     remark, (low, high) = "", everything
     if driving is not None and 3.0 * (driving[1] - driving[0]) < high - low:
         remark = f"start: {span(np.array(everything), 2)}"
         low, high = driving
     elif not any(line.failed for line in lines):
-        return None, None, ""
+        return None, ""
     margin = 0.2 * max(high - low, 1e-6)
-    return low - margin, high + margin, remark
+    return (low - margin, high + margin), remark
 
 
 def _extent(values: Array) -> tuple[float, float] | None:
@@ -343,7 +411,7 @@ def speed_picture(
     line_styles = line_styles or strokes(label for runs in scenarios.values() for label in runs)
     lines = {name: as_lines(runs, line_styles) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
-    key = {"Profile": REFERENCE} | {line.label: line.stroke for group in lines.values() for line in group}
+    key = {"Profile": REFERENCE_STROKE} | {line.label: line.stroke for group in lines.values() for line in group}
     return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
@@ -352,7 +420,7 @@ def tracking_picture(
 ) -> Picture:
     """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
     lines = as_lines(runs, line_styles)
-    key = [("Reference", REFERENCE), *((line.label, line.stroke) for line in lines)]
+    key = [("Reference", REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
     columns = 1 if any(run.road for run in runs.values()) else 2
     return Picture(
         name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=1.7 if columns == 1 else 2.25

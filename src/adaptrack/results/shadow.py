@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.result import (
-    BACKGROUND,
-    REFERENCE,
-    Axis,
+    BACKGROUND_STROKE,
+    REFERENCE_STROKE,
     Column,
-    Dots,
-    Guide,
-    Mark,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Ribbon,
     strokes,
     where,
 )
@@ -29,17 +24,21 @@ from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS
-from adaptrack.results.learned_picture import LEARNED
-from adaptrack.results.run_pictures import thinned
+from adaptrack.results.learned_picture import LEARNED_QUANTITIES
+from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
+from adaptrack.results.run_pictures import thinned, turning_part
 from adaptrack.results.words import capital, listed, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 NAMES = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
 SENTENCES = NAMES | {"learned": "learned model", "held": "held yaw rate"}
 STROKES = strokes(PREDICTORS)
-SHOWN = 15.0
+SHOWN_SECONDS = 15.0
 """s of the log that are drawn: those with the most turning."""
-BELIEFS = {name: LEARNED[name] for name in ("delay", "lag", "stiffness", "bias")}
-BELIEFS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
+BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
+BELIEF_LABELS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
 QUANTITIES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
 """Of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
@@ -176,14 +175,6 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def _stretch(log: ShadowLog) -> slice:
-    """The `SHOWN` s with the most turning."""
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(log.measured["yaw_rate"]) ** 2)])
-    ends = np.searchsorted(log.time, log.time + SHOWN, side="right")
-    first = int(np.argmax(total[ends] - total[np.arange(log.time.size)]))
-    return slice(first, int(ends[first]))
-
-
 def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) -> Picture:
     """Wide panels, one below the other."""
     return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4)
@@ -191,53 +182,67 @@ def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) ->
 
 def _predicted(logs: Sequence[ShadowLog]) -> Picture:
     """Yaw rate as measured, and as predicted."""
-    panels = []
-    for log in logs:
-        part = _stretch(log)
-        marks: list[Mark] = [Polyline(log.time[part], log.measured["yaw_rate"][part], REFERENCE, 1.0)]
-        for name in PREDICTORS:
-            values = log.predicted[name, "yaw_rate", LATER][part]
-            known = np.isfinite(values)
-            marks.insert(0, Polyline(log.time[part][known], values[known], STROKES[name], 1.0))
-        panels.append(Panel(log.source, Axis("Time (s)"), Axis("Yaw rate (rad/s)"), marks, _winner(log)))
-    key = [*((capital(SENTENCES[name]), STROKES[name]) for name in PREDICTORS), ("Measured", REFERENCE)]
+    panels = [Panel(log.source, partial(_draw_predicted, log=log), _winner(log)) for log in logs]
+    key = [*((capital(SENTENCES[name]), STROKES[name]) for name in PREDICTORS), ("Measured", REFERENCE_STROKE)]
     caption = (
-        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN:.0f} s that turn most."
+        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN_SECONDS:.0f} s with the "
+        "most turning."
     )
     return _picture("predicted", caption, panels, key)
 
 
+def _draw_predicted(axes: Axes, log: ShadowLog) -> None:
+    part = turning_part(log.time, log.measured["yaw_rate"], SHOWN_SECONDS)
+    for name in reversed(PREDICTORS):
+        values = log.predicted[name, "yaw_rate", LATER][part]
+        finite = np.isfinite(values)
+        axes.plot(log.time[part][finite], values[finite], **STROKES[name].look, linewidth=1.0)
+    axes.plot(log.time[part], log.measured["yaw_rate"][part], **REFERENCE_STROKE.look, linewidth=1.0)
+    axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
+
+
 def _believed(logs: Sequence[ShadowLog]) -> Picture:
     """The belief over time, one log after the other."""
-    begins, own = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), STROKES["learned"]
-    panels = []
-    for name, (title, label, unit) in BELIEFS.items():
-        marks: list[Mark] = [Guide("x", begins[1:-1].tolist())] if len(logs) > 1 else []
-        for log, begin in zip(logs, begins[:-1], strict=True):
-            keep = thinned(log.beliefs[f"belief_{name}"])
-            mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
-            factor, spread = (
-                (np.exp(WITHIN * sigma), 0.0) if name in ("stiffness", "balance") else (1.0, WITHIN * sigma)
-            )
-            time = begin + log.time[keep]
-            ribbon = Ribbon(time, mean / factor - spread, mean * factor + spread, own.colour)
-            marks += [ribbon, Polyline(time, mean, own)]
-        panels.append(Panel(title, Axis("Time (s)"), Axis(label), marks, f"{mean[-1]:.3g} {unit} in the end."))
+    panels = [
+        Panel(
+            title, partial(_draw_believed, logs=logs, name=name, label=label),
+            f"{logs[-1].beliefs[f'belief_{name}'][-1]:.3g} {unit} in the end.",
+        )
+        for name, (title, label, unit) in BELIEF_LABELS.items()
+    ]  # fmt: skip
     return Picture("believed", "What is believed of the car. Band: 90 %.", panels, file="believed.png", row_height=1.9)
+
+
+def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str) -> None:
+    starts, stroke = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), STROKES["learned"]
+    for start in starts[1:-1]:
+        axes.axvline(start, linewidth=0.8, **BACKGROUND_STROKE.look)
+    for log, start in zip(logs, starts[:-1], strict=True):
+        keep = thinned(log.beliefs[f"belief_{name}"])
+        mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
+        logarithmic = name in ("stiffness", "balance")
+        factor, spread = (np.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
+        time = start + log.time[keep]
+        draw_ribbon(axes, time, mean / factor - spread, mean * factor + spread, stroke.colour)
+        axes.plot(time, mean, **stroke.look)
+    axes.set(xlabel="Time (s)", ylabel=label)
 
 
 def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
     """The controller's command beside the driver's; none without a path."""
     panels = []
     for log in logs:
-        part, apart = _stretch(log), (log.proposed - log.command)[np.isfinite(log.proposed)]
-        if apart.size:
-            marks: list[Mark] = [
-                Polyline(log.time[part], log.command[part], BACKGROUND),
-                Dots(log.time[part], log.proposed[part], size=1.6, marker="point"),
-            ]
-            said = f"{number(float(np.sqrt(np.mean(apart**2))))} rad apart (RMS of the whole log)."
-            up = Axis("Angle (rad)", degrees=True)
-            panels.append(Panel(log.source, Axis("Time (s)"), up, marks, said))
+        difference = (log.proposed - log.command)[np.isfinite(log.proposed)]
+        if difference.size:
+            description = f"{number(float(np.sqrt(np.mean(difference**2))))} rad apart (RMS of the whole log)."
+            panels.append(Panel(log.source, partial(_draw_commands, log=log), description))
     caption = "Command of the driver (line), and of the controller at that instant (points): one step, no drive."
     return [_picture("commands", caption, panels)] if panels else []
+
+
+def _draw_commands(axes: Axes, log: ShadowLog) -> None:
+    part = turning_part(log.time, log.measured["yaw_rate"], SHOWN_SECONDS)
+    axes.plot(log.time[part], log.command[part], **BACKGROUND_STROKE.look)
+    draw_dots(axes, log.time[part], log.proposed[part], marker=".", size=1.6)
+    axes.set(xlabel="Time (s)", ylabel="Angle (rad)")
+    add_degrees(axes)

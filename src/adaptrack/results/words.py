@@ -18,7 +18,7 @@ from adaptrack.control.scheduling.variables import VARIABLES
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
 
-INPUTS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
+INPUT_LABELS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
 """The label and unit of each scheduling variable."""
 
 
