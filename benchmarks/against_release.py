@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parent))
 from answers import WORKLOADS
 
 RENAMED: Mapping[str, str] = {

@@ -15,6 +15,7 @@ from typing import Any
 
 import adaptrack as at
 from adaptrack.cars.vehicle import list_vehicles
+from adaptrack.tuning.car import TuningEffort
 
 
 def tuned(name: str, plant: str | None, profile: str) -> tuple[dict[str, Any], str]:
@@ -38,7 +39,7 @@ def main() -> None:
     ask.add_argument("--profile", nargs="+", default=["road", "production"])
     ask.add_argument("--json", action="store_true")
     asked, rows = ask.parse_args(), []
-    at.tune("paper", effort=at.TuningEffort(drives=1, hard_drives=1, seconds=5.0, judged=4))  # compile
+    at.tune("paper", effort=TuningEffort(drives=1, hard_drives=1, seconds=5.0, judged=4))  # compile
     for profile in asked.profile:
         for name in asked.vehicle:
             found, words = tuned(name, asked.plant, profile)

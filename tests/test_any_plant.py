@@ -26,7 +26,7 @@ from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.tuning.car import TuningEffort, tune
 from adaptrack.tuning.constant_file import load_tuning
 from adaptrack.tuning.objective import Objective
-from adaptrack.tuning.pso import Swarm, SwarmSettings
+from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs
 
 CAR = load_vehicle("paper")
@@ -125,7 +125,7 @@ def test_costs_and_swarms_run_by_run_are_those_of_the_kernel():
     )
     tunings = np.array([[30.0, 8.0, 1.0, 5.0], [25.0, 5.0, 1.0, 20.0]])
     np.testing.assert_allclose(target._simulated_costs(POINTS[0], tunings), target.costs(POINTS[0], tunings), rtol=1e-9)
-    settings, space = SwarmSettings(particles=4, generations=3), at.SearchSpace.tuning()
+    settings, space = SwarmSettings(particles=4, generations=3), SearchSpace.tuning()
     compiled = target.tune(POINTS[0], settings, 5, 7, space)
     searched = target._searched(POINTS[0], Swarm(space, settings, seed=5, stream=7))
     np.testing.assert_array_equal(searched.tuning, compiled.tuning)

@@ -17,6 +17,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
+from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.calibration import CORRECTIONS, corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.from_log import fitted, prepare, reported
@@ -575,8 +576,8 @@ def test_medians_and_spreads_are_what_a_point_at_the_origin_and_one_spread_off_m
 
 def test_a_seed_gives_one_random_car_within_its_ranges() -> None:
     for seed in range(12):
-        car = at.random_car(seed)
-        assert car == at.random_car(seed)
+        car = random_car(seed)
+        assert car == random_car(seed)
         base = at.load_vehicle(car.base)
         assert 0.6 <= car.vehicle.mass / base.mass <= 1.6
         assert 0.05 <= car.profile.steering.lag <= 0.35
@@ -586,7 +587,7 @@ def test_a_seed_gives_one_random_car_within_its_ranges() -> None:
         assert factors == pytest.approx((1.0, 1.0))
         assert car.vehicle.yaw_inertia / car.vehicle.mass == pytest.approx(base.yaw_inertia / base.mass)
     with pytest.raises(InvalidInput, match=r"mass.0. = -1.0: must be a finite number > 0"):
-        at.CarRanges(mass=(-1.0, 2.0))
+        CarRanges(mass=(-1.0, 2.0))
 
 
 def test_a_car_of_mass_and_wheelbase_is_asked_for_or_a_car() -> None:

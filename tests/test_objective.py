@@ -7,6 +7,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.drive.failure import Failure
 from adaptrack.tuning.objective import Objective
+from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise
 
 pytestmark = pytest.mark.compiled
 CAR = at.load_vehicle("paper")
@@ -49,10 +50,10 @@ def test_the_cost_is_that_of_simulated_runs(changes):
 @pytest.mark.parametrize("particles", [5, 20, 33, 70])
 def test_the_compiled_swarm_is_the_ask_and_tell_swarm_on_the_same_costs(particles):
     """Also when there are more particles than slots, and although hopeless runs are stopped early."""
-    target, space = objective(), at.SearchSpace.tuning()
-    settings = at.SwarmSettings(particles=particles, generations=4)
+    target, space = objective(), SearchSpace.tuning()
+    settings = SwarmSettings(particles=particles, generations=4)
     compiled = target.tune(HERE, settings, seed=5, stream=7)
-    slow = at.minimise(lambda x: target.costs(HERE, x), space, settings, seed=5, stream=7)
+    slow = minimise(lambda x: target.costs(HERE, x), space, settings, seed=5, stream=7)
     np.testing.assert_array_equal(compiled.tuning, slow.x)
     np.testing.assert_array_equal(compiled.trace, slow.trace)
     assert compiled.cost == slow.cost
@@ -71,7 +72,7 @@ def test_the_cost_of_a_tuning_does_not_depend_on_its_company():
 
 def test_by_decades_the_swarm_reaches_weights_that_a_linear_search_hardly_draws():
     wide = {"names": ("Np", "Nc", "Q", "R"), "low": (5.0, 1.0, 1.0, 1e-3), "high": (55.0, 18.0, 1.0, 1e6)}
-    space = at.SearchSpace(**wide, whole=("Np", "Nc"), ordered=("Nc", "Np"), decades=("R",))
+    space = SearchSpace(**wide, whole=("Np", "Nc"), ordered=("Nc", "Np"), decades=("R",))
     found = objective(profile="road", test="lane-change", duration=4.0).tune(HERE, seed=1, space=space)
     assert 10.0 < found.tuning[3] < 1e5
     assert found.cost == pytest.approx(found.trace[-1])

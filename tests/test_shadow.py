@@ -13,6 +13,7 @@ from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
 from adaptrack.core.estimators.learning import BELIEFS, memory_of
 from adaptrack.identification.instants import ReadLog
+from adaptrack.identification.shadow import Shadow
 from adaptrack.results.console import print_result
 from adaptrack.results.shadow import shadow_result
 
@@ -210,7 +211,7 @@ def test_intervals_hold_the_error_and_are_wider_for_errors_that_follow_each_othe
 
 def test_the_answer_comes_first_and_fits_80_columns(watched, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    print_result(shadow_result(at.Shadow(CAR, 0.05, (watched,)), next_step="Next, ..."))
+    print_result(shadow_result(Shadow(CAR, 0.05, (watched,)), next_step="Next, ..."))
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("The belief (delay 0.1")
     assert lines[1] == "Yaw rate 1 s ahead: the learned model predicts it best."

@@ -11,6 +11,7 @@ from .base.errors import (
 )
 from .cars.data_sheet import vehicle_from_data_sheet as vehicle_from_data_sheet
 from .cars.domain import Domain as Domain
+from .cars.known_within import KnownWithin as KnownWithin
 from .cars.plant import (
     DualTrack as DualTrack,
     Plant as Plant,
@@ -96,6 +97,7 @@ from .control.scheduling import (
 from .control.tracker import Status as Status, Tracker as Tracker, yaw_of as yaw_of
 from .core.member import CFunction as CFunction
 from .drive.batch import rollout_batch as rollout_batch
+from .drive.failure import Failure as Failure
 from .drive.metrics import (
     Metrics as Metrics,
     PathRecord as PathRecord,
@@ -108,7 +110,7 @@ from .drive.world import Driver as Driver
 from .export.c_library import export_c as export_c
 from .export.fmu import export_fmu as export_fmu
 from .export.page_file import export_page as export_page
-from .identification import Identification as Identification, identify as identify
+from .identification import Identification as Identification, Reading as Reading, identify as identify
 from .road import (
     Road as Road,
     check_road as check_road,

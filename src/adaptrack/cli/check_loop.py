@@ -31,20 +31,27 @@ class CheckLoopOptions:
 
 @options.grouped
 def check_loop(given: CheckLoopOptions) -> None:
-    """Say which inputs of a loop contradict each other.
+    """Report which inputs of a loop contradict each other.
 
     Sign, unit, frame and clock of time, position, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle
-    and command. Exit code 3 where some do.
+    and command. The exit code is 3 where some do, 2 where nothing could be compared.
     """
+    from adaptrack.base.errors import InvalidInput
     from adaptrack.cars.vehicle import load_vehicle
-    from adaptrack.identification.loop_check import check_loop as check
+    from adaptrack.identification.loop_check import check_loop as check_log
     from adaptrack.identification.reading import read_columns
     from adaptrack.results.check_loop import check_result
 
-    read = read_columns(given.log, given.log_columns.reading)
-    found = check(read, None if given.vehicle is None else load_vehicle(given.vehicle))
-    show.say_result(check_result(found, str(given.log), read.notes), given.as_json)
-    if found.contradictions:
+    columns = read_columns(given.log, given.log_columns.reading)
+    check = check_log(columns, None if given.vehicle is None else load_vehicle(given.vehicle))
+    if not check.contradictions and not check.compared:
+        reason = check.limit or "no signal follows another."
+        raise InvalidInput(
+            f"log: nothing could be compared: {reason} Drive bends, and log speed with x, y and yaw, or yaw rate with "
+            "the command."
+        )
+    show.say_result(check_result(check, str(given.log), columns.notes), given.as_json)
+    if check.contradictions:
         raise typer.Exit(CONTRADICTED)
     if not given.as_json:
         say_next("to identify the car", command("identify", given.log, "--car", given.vehicle or "CAR"))

@@ -97,6 +97,10 @@ SENTENCES = type(MISTAKES)(*[
     "the path are of a left-handed frame (such as NED). Commands and angles are positive to the left.",
     "command: the car hardly turns, as if it were taken in degrees or not at all" + _COMMAND,
     "command: the car turns many times as much, as if it were sent in degrees, or at the steering wheel" + _COMMAND,
+    "x, y: within seconds they moved {0:.2g} m away from where speed and yaw lead: the position drifts or has jumped; "
+    "check the localisation.",
+    "yaw: within seconds it changed by {0:.2g} rad more than yaw_rate says: it drifts or has jumped; check the "
+    "localisation.",
 ])  # fmt: skip
 """What each mistake is said as, with what was measured."""
 

@@ -322,8 +322,8 @@ class _Laid:
         for role in Role:
             size += -size % ROOM
             self.first[role] = size
-            for role, parts in stretches:
-                if role is not role:
+            for stretch_role, parts in stretches:
+                if stretch_role is not role:
                     continue
                 first, last = min(part.first for part in parts), max(part.last for part in parts)
                 count = (last - first) // 8

@@ -1,7 +1,8 @@
-"""Wrong signs and units of a log, found by how its signals fit together.
+"""Signs, units and clocks of a log, by how its signals fit together over the whole log.
 
 In slow bends yaw rate and road-wheel angle obey r = v delta/(L + K v^2) (R. Rajamani, *Vehicle Dynamics and Control*,
-2nd ed., section 3.3), lateral acceleration a_y = v r. What multiplies the right-hand sides tells the unit.
+2nd ed., section 3.3), lateral acceleration a_y = v r. A factor between both sides tells the wrong unit. The check of a
+loop (`core.input_check`) compares half seconds; here the mean of many bends also shows it without positions and a car.
 """
 
 from __future__ import annotations
@@ -43,44 +44,56 @@ LATE = 0.08
 adds parts it from v r by up to 0.3 s."""
 MENDED = 0.5
 """Share of what is unexplained that a shift of clocks must leave at most."""
-_DEGREE = math.pi / 180.0
+FASTEST_CAR, FASTEST_TURN = 75.0, 3.0
+"""m/s, rad/s: no car drives or turns so fast for long."""
+
+_KM_H, _MPH = "a speed in km/h: --units speed=km/h", "a speed in mph: --units speed=mph"
+_DEGREES_PER_SECOND = "a yaw rate in degrees per second: --units yaw_rate=deg/s"
+POSITIONS = (
+    (0.0, 1e-3, "x and y are degrees of latitude and longitude, or another column: --columns x=NAME,y=NAME"),
+    (0.2, 0.35, _KM_H), (0.4, 0.5, _MPH), (0.7, 1.4, ""), (0.0, math.inf, "check their units (--units)"),
+)  # fmt: skip
+"""Factors of the way of positions over that by the speed: from, to, and what it means; empty where both agree."""
+ACCELERATIONS = (
+    (0.01, 0.03, _DEGREES_PER_SECOND), (0.07, 0.15, "a lateral acceleration in g: --units acceleration=g"),
+    (0.2, 0.35, _KM_H), (0.4, 0.5, _MPH), (0.0, math.inf, ""),
+)  # fmt: skip
+"""Factors of the lateral acceleration over speed times yaw rate."""
+TURNINGS = (
+    (4e-4, 3e-3, "{steered} is the angle of the steering wheel in degrees: --units {steered}=deg --steering-ratio "
+     "{in_degrees:.0f} (or fit)"),
+    (0.008, 0.035, "{steered} in degrees: --units {steered}=deg"),
+    (0.035, 0.13, "{steered} is the angle of the steering wheel: --steering-ratio {ratio:.0f}, or --steering-ratio "
+     "fit"),
+    (0.15, 0.35, _KM_H), (0.35, 3.5, ""), (25.0, 130.0, _DEGREES_PER_SECOND),
+    (0.0, 0.5, "check the units (--units) and the wheelbase, or give --steering-ratio {ratio:.0f}."),
+    (0.0, math.inf, "check the units (--units) and the wheelbase, or give the steering ratio."),
+)  # fmt: skip
+"""Factors of the yaw rate over that of a steady turn."""
+
+
+class Agreement(NamedTuple):
+    """How two signals of a log fit together."""
+
+    compared: str
+    clear: bool
+    """whether they are correlated enough to conclude anything"""
+    contradiction: str
+    """a sentence that names the mistake and the option that mends it; empty where they agree"""
 
 
 class _Slope(NamedTuple):
     factor: float
     correlation: float
 
+    @property
+    def clear(self) -> bool:
+        return abs(self.correlation) >= CLEAR
+
 
 def check_positions(values: Mapping[str, Array]) -> None:
-    """Refuse raw columns (SI units, (n,) each) whose positions do not fit their speed.
-
-    Raises
-    ------
-    InvalidInput
-        Naming the option that mends it.
-    """
-    if not {"time", "speed", "x", "y"} <= values.keys():
-        return
-    known = np.isfinite(values["time"]) & np.isfinite(values["x"]) & np.isfinite(values["y"])
-    time, first = np.unique(values["time"][known], return_index=True)
-    speed = values["speed"]
-    drives = np.isfinite(values["time"]) & np.isfinite(speed) & (np.abs(speed) > 3.0)
-    if time.size < LEAST_BOTH or drives.sum() < LEAST_BOTH:
-        return
-    x, y = values["x"][known][first], values["y"][known][first]
-    at = values["time"][drives]
-    x, y = (np.interp(at + WINDOW, time, each) - np.interp(at - WINDOW, time, each) for each in (x, y))
-    factor = float(np.median(np.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))
-    if 0.7 <= factor <= 1.4:
-        return
-    remedy = "check their units (--units)"
-    if 0.2 <= factor <= 0.35:
-        remedy = "a speed in km/h: --units speed=km/h"
-    elif 0.4 <= factor <= 0.5:
-        remedy = "a speed in mph: --units speed=mph"
-    elif factor < 1e-3:
-        remedy = "x and y are degrees of latitude and longitude, or another column: --columns x=NAME,y=NAME"
-    raise InvalidInput(f"log: the positions move at {factor:.3g} times the speed: {remedy}.")
+    """Refuse raw columns (SI units, (n,) each) whose positions do not fit their speed; see `check_conventions`."""
+    _refuse([compare_positions(values)])
 
 
 def check_conventions(log: Log, wheelbase: float) -> None:
@@ -91,28 +104,128 @@ def check_conventions(log: Log, wheelbase: float) -> None:
     InvalidInput
         Naming what is wrong and the option that mends it.
     """
+    _refuse(compare_signals(log, wheelbase))
+
+
+def _refuse(agreements: list[Agreement]) -> None:
+    for agreement in agreements:
+        if agreement.contradiction:
+            raise InvalidInput(f"log: {agreement.contradiction}")
+
+
+def compare_positions(values: Mapping[str, Array]) -> Agreement:
+    """Compare the way of positions with that by the speed, in raw columns (SI units, (n,) each)."""
+    compared = "positions and speed, whole log"
+    if not {"time", "speed", "x", "y"} <= values.keys():
+        return Agreement(compared, False, "")
+    present = np.isfinite(values["time"]) & np.isfinite(values["x"]) & np.isfinite(values["y"])
+    time, first = np.unique(values["time"][present], return_index=True)
+    speed = values["speed"]
+    drives = np.isfinite(values["time"]) & np.isfinite(speed) & (np.abs(speed) > 3.0)
+    if time.size < LEAST_BOTH or drives.sum() < LEAST_BOTH:
+        return Agreement(compared, False, "")
+    instants = values["time"][drives]
+    x, y = (
+        np.interp(instants + WINDOW, time, place) - np.interp(instants - WINDOW, time, place)
+        for place in (values["x"][present][first], values["y"][present][first])
+    )
+    factor = float(np.median(np.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))
+    meaning = _meaning(factor, POSITIONS)
+    sentence = f"the positions move at {factor:.3g} times the speed: {meaning}." if meaning else ""
+    return Agreement(compared, True, sentence)
+
+
+def compare_signals(log: Log, wheelbase: float) -> list[Agreement]:
+    """Compare speed, steering, yaw rate, yaw and lateral acceleration of a log."""
+    turning, felt = _turning(log, wheelbase), _felt(log)
+    turned = _explain_fastest(log) or _explain_turning(log, turning, wheelbase)
+    return [
+        Agreement("lateral acceleration and yaw rate, whole log", felt.clear, _explain_felt(felt, turning)),
+        Agreement("yaw and yaw rate, whole log", *_compare_yaw(log)),
+        Agreement("clocks of steering and yaw rate", turning.clear, _explain_lead(log, wheelbase)),
+        Agreement("steering and yaw rate, whole log", turning.clear, turned),
+    ]
+
+
+def _steered(log: Log) -> str:
+    """The name of the steering column."""
+    return "command" if log.commanded else "wheel"
+
+
+def _meaning(factor: float, table: tuple[tuple[float, float, str], ...]) -> str:
+    """The meaning of a factor: that of the first range in which it lies."""
+    return next(meaning for low, high, meaning in table if low <= factor <= high)
+
+
+def _explain_fastest(log: Log) -> str:
+    """A contradiction of the speed and what cars drive."""
     fastest = float(np.percentile(log.speed, 99))
-    if fastest > 75.0:
-        raise InvalidInput(f"log: a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h.")
-    steered = "command" if log.commanded else "wheel"
-    turning = _turning(log, wheelbase)
-    felt = _felt(log)
-    if abs(felt.correlation) >= CLEAR:
-        _refuse_felt(felt, turning)
-    _check_clocks(log, wheelbase, steered)
-    if abs(turning.correlation) < CLEAR:
-        return
+    return f"a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h." if fastest > FASTEST_CAR else ""
+
+
+def _explain_felt(felt: _Slope, turning: _Slope) -> str:
+    """A contradiction of lateral acceleration and speed times yaw rate."""
+    if not felt.clear:
+        return ""
+    if felt.factor < 0.0:
+        which = "yaw_rate" if turning.factor < 0.0 and turning.clear else "acceleration"
+        return (
+            f"lateral acceleration and yaw rate have opposite signs. Both must be positive to the left: --flip {which}."
+        )
+    meaning = _meaning(felt.factor, ACCELERATIONS)
+    return f"the lateral acceleration is {felt.factor:.3g} times speed times yaw rate: {meaning}." if meaning else ""
+
+
+def _explain_turning(log: Log, turning: _Slope, wheelbase: float) -> str:
+    """A contradiction of the yaw rate and that of a steady turn."""
+    if not turning.clear:
+        return ""
+    steered = _steered(log)
     if turning.factor < 0.0:
-        raise InvalidInput(
-            f"log: yaw rate and {steered} have opposite signs. Both must be positive to the left: "
+        return (
+            f"yaw rate and {steered} have opposite signs. Both must be positive to the left: "
             f"--flip {steered} or --flip yaw_rate, whichever is positive to the right in the log."
         )
-    remedy = _remedy(turning.factor, steered, float(np.percentile(np.abs(log.yaw_rate[np.isfinite(log.yaw_rate)]), 99)))
-    if remedy:
-        raise InvalidInput(
-            f"log: the yaw rate is {turning.factor:.3g} times what the steering angle makes of a wheelbase of "
-            f"{wheelbase:g} m: {remedy}"
-        )
+    ratio = 1.0 / turning.factor
+    if float(np.percentile(np.abs(log.yaw_rate[np.isfinite(log.yaw_rate)]), 99)) > FASTEST_TURN:
+        meaning = "angles in degrees: --units deg" + (f" --steering-ratio {ratio:.0f}" if ratio > 8.0 else "")
+    else:
+        meaning = _meaning(turning.factor, TURNINGS)
+    if not meaning:
+        return ""
+    meaning = meaning.format(steered=steered, ratio=ratio, in_degrees=math.radians(ratio))
+    return (
+        f"the yaw rate is {turning.factor:.3g} times what the steering angle makes of a wheelbase of {wheelbase:g} m: "
+        f"{meaning}"
+    )
+
+
+def _explain_lead(log: Log, wheelbase: float) -> str:
+    """A contradiction of clocks: a yaw rate that runs ahead of the steering."""
+    ahead, behind = (_turning(log, wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
+    if ahead.correlation < CLEAR or 1.0 - ahead.correlation >= AHEAD * (1.0 - abs(behind.correlation)):
+        return ""
+    steered = _steered(log)
+    return (
+        f"the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, "
+        f"--clock {steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
+    )
+
+
+def _compare_yaw(log: Log) -> tuple[bool, str]:
+    """Whether the yaw rate can be compared with the yaw, and a contradiction of their clocks."""
+    both = np.isfinite(log.yaw) & np.isfinite(log.yaw_rate) & ~log.begins
+    if both.sum() < LEAST_BOTH:
+        return False, ""
+    rate = np.gradient(log.yaw[both], log.time[both])
+    late, correlation = _lateness(log.time[both], smoothed(log.time[both], rate), log.yaw_rate[both])
+    if abs(late) <= LATE:
+        return correlation >= CLEAR, ""
+    return True, (
+        f"yaw_rate is {abs(late):.2f} s {'later' if late > 0.0 else 'earlier'} than yaw says: their clocks differ, or "
+        "one is filtered. Name the column of its own times (--clock yaw_rate=COLUMN) or mend it: "
+        f"--late yaw_rate={late:.2f} (s), or --late yaw={-late:.2f}."
+    )
 
 
 def guessed_ratio(log: Log, wheelbase: float) -> float:
@@ -130,7 +243,7 @@ def guessed_ratio(log: Log, wheelbase: float) -> float:
         slope = _slope(smoothed(log.time, log.command)[both], smoothed(log.time[both], log.wheel[both]))
     else:
         slope = _turning(log, wheelbase)
-    if not abs(slope.correlation) >= CLEAR:
+    if not slope.clear:
         raise InvalidInput(
             "log: the steering ratio cannot be found: neither yaw rate nor road wheels follow the steering wheel. Give "
             "it, --steering-ratio R, or drive slow bends."
@@ -144,87 +257,27 @@ def guessed_ratio(log: Log, wheelbase: float) -> float:
     return ratio
 
 
-def _remedy(factor: float, steered: str, turn: float) -> str:
-    """What explains a factor between yaw rate and steering; empty where nothing is wrong."""
-    ratio = f"--steering-ratio {1.0 / factor:.0f}" if factor < 0.5 else ""
-    if turn > 3.0:  # rad/s: no car turns so fast for long
-        both = f" --steering-ratio {1.0 / factor:.0f}" if factor < 0.12 else ""
-        return f"angles in degrees: --units deg{both}"
-    if 0.35 <= factor <= 3.5:
-        return ""
-    if 0.2 <= factor < 0.35:
-        return "a speed in km/h: --units speed=km/h"
-    if 0.035 <= factor <= 0.13:
-        return f"{steered} is the angle of the steering wheel: {ratio}, or --steering-ratio fit"
-    if 0.008 <= factor < 0.035:
-        return f"{steered} in degrees: --units {steered}=deg"
-    if 0.0004 <= factor < 0.003:
-        options = f"--units {steered}=deg --steering-ratio {_DEGREE / factor:.0f} (or fit)"
-        return f"{steered} is the angle of the steering wheel in degrees: {options}"
-    if 25.0 <= factor <= 130.0:
-        return "a yaw rate in degrees per second: --units yaw_rate=deg/s"
-    return f"check the units (--units) and the wheelbase, or give {ratio or 'the steering ratio'}."
-
-
-def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
-    """Lateral acceleration against speed times yaw rate."""
-    if felt.factor < 0.0:
-        which = "yaw_rate" if turning.factor < 0.0 and abs(turning.correlation) >= CLEAR else "acceleration"
-        raise InvalidInput(
-            "log: lateral acceleration and yaw rate have opposite signs. Both must be positive to the left: "
-            f"--flip {which}."
-        )
-    if 0.2 <= felt.factor <= 0.4:
-        raise InvalidInput("log: speed times yaw rate is 3.6 times the lateral acceleration: --units speed=km/h.")
-    if 0.07 <= felt.factor <= 0.15:
-        raise InvalidInput("log: the lateral acceleration is in g: --units acceleration=g.")
-    if 0.01 <= felt.factor <= 0.03:
-        raise InvalidInput("log: the yaw rate is in degrees per second: --units yaw_rate=deg/s.")
-
-
-def _check_clocks(log: Log, wheelbase: float, steered: str) -> None:
-    """The yaw rate against the yaw, and the steering that it cannot run ahead of."""
-    both = np.isfinite(log.yaw) & np.isfinite(log.yaw_rate) & ~log.begins
-    if both.sum() >= LEAST_BOTH:
-        rate = np.gradient(log.yaw[both], log.time[both])
-        found = _lateness(log.time[both], smoothed(log.time[both], rate), log.yaw_rate[both])
-        if abs(found.factor) > LATE:
-            _refuse_clock("yaw_rate", "yaw", found.factor)
-    ahead, behind = (_turning(log, wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
-    if ahead.correlation >= CLEAR and 1.0 - ahead.correlation < AHEAD * (1.0 - abs(behind.correlation)):
-        raise InvalidInput(
-            f"log: the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, "
-            f"--clock {steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
-        )
-
-
-def _lateness(time: Array, true: Array, late: Array) -> _Slope:
-    """s by which the second signal of a motion is later than the first, smoothed, one; their correlation there.
+def _lateness(time: Array, reference: Array, signal: Array) -> _Slope:
+    """s by which a signal of a motion is later than a smoothed reference, and their correlation there.
 
     0 where no shift explains much more than none does.
     """
     begins = np.append(0, np.flatnonzero(np.diff(time) > 1.0) + 1)
     if begins.size > 1:  # the longest stretch
         ends = np.append(begins[1:], time.size)
-        part = slice(*max(zip(begins, ends, strict=True), key=lambda each: time[each[1] - 1] - time[each[0]]))
-        time, true, late = time[part], true[part], late[part]
+        part = slice(*max(zip(begins, ends, strict=True), key=lambda ends: time[ends[1] - 1] - time[ends[0]]))
+        time, reference, signal = time[part], reference[part], signal[part]
     if time.size < LEAST_BOTH or time[-1] - time[0] < 10.0:
         return _Slope(0.0, 0.0)
-    late = smoothed(time, late)
+    signal = smoothed(time, signal)
     inside = (time > time[0] + 1.0) & (time < time[-1] - 1.0)
-    fits = [_slope(true[inside], np.interp(time[inside] + shift, time, late)).correlation for shift in SHIFTS]
+    fits = [
+        _slope(reference[inside], np.interp(time[inside] + shift, time, signal)).correlation for shift in SHIFTS
+    ]  # fmt: skip
     best, none = int(np.argmax(fits)), int(np.argmin(np.abs(SHIFTS)))
     if fits[best] < 0.9 or 1.0 - fits[best] > MENDED * (1.0 - fits[none]):
         return _Slope(0.0, fits[none])
     return _Slope(float(SHIFTS[best]), fits[best])
-
-
-def _refuse_clock(name: str, other: str, late: float) -> None:
-    raise InvalidInput(
-        f"log: {name} is {abs(late):.2f} s {'later' if late > 0.0 else 'earlier'} than {other} says: their clocks "
-        "differ, or one is filtered. Name the column of its own times (--clock {name}=COLUMN) or mend it: "
-        f"--late {name}={late:.2f} (s), or --late {other}={-late:.2f}."
-    )
 
 
 def _turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = WINDOW) -> _Slope:
@@ -240,17 +293,20 @@ def _turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = W
     for gradient in GRADIENTS:
         turn = log.speed / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
         slopes = [_slope((turn * (angle - np.median(angle)))[present], yaw_rate) for angle in late]
-        slope = max(slopes, key=lambda each: abs(each.correlation))
+        slope = max(slopes, key=lambda slope: abs(slope.correlation))
         if 1.0 - abs(slope.correlation) < BETTER * (1.0 - abs(best.correlation)):
             best = slope
     return best
 
 
 def _felt(log: Log) -> _Slope:
+    """Lateral acceleration against speed times yaw rate."""
     both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
     if both.sum() < LEAST_BOTH:
         return _Slope(math.nan, 0.0)
-    yaw_rate, acceleration = (smoothed(log.time[both], each[both]) for each in (log.yaw_rate, log.acceleration))
+    yaw_rate, acceleration = (
+        smoothed(log.time[both], signal[both]) for signal in (log.yaw_rate, log.acceleration)
+    )  # fmt: skip
     return _slope(log.speed[both] * yaw_rate, acceleration)
 
 

@@ -1,8 +1,9 @@
-"""Which columns of a log contradict each other, by the checks that a tracker makes while it drives."""
+"""Contradictions between the columns of a log, by the checks of a tracker and by comparisons over the whole log."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,28 +11,46 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.input_check import Finding, InputCheck
-from adaptrack.identification.log import check_times
+from adaptrack.identification.conventions import Agreement, compare_positions, compare_signals, guessed_ratio
+from adaptrack.identification.log import check_times, log_of
+from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.reading import Columns
 
 SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command")
+USUAL_WHEELBASE = 2.8
+"""m, of a car that is not given."""
+LEAST = 2.0
+"""s, from which on a comparison of windows tells something."""
 
 
 class LoopCheck(NamedTuple):
-    """What a log says of its own columns."""
+    """Result of a check of the columns of a log."""
 
     contradictions: tuple[str, ...]
-    """sentences: the column, what is measured, the remedy"""
-    found: tuple[Finding, ...]
+    """sentences: column, measured contradiction, remedy; those of the whole log, with their option, first"""
+    findings: tuple[Finding, ...]
+    """of windows of half a second"""
+    agreements: tuple[Agreement, ...]
+    """of the whole log"""
     seconds: float
     """from the first sample to the last, on the log's clock"""
     sliding: float
     """s, for which the car slid"""
+    limit: str
+    """why the whole log could not be compared; empty where it was"""
+
+    @property
+    def compared(self) -> int:
+        """How many comparisons tell something."""
+        windows = sum(finding.seconds > LEAST for finding in self.findings)
+        return windows + sum(agreement.clear for agreement in self.agreements)
 
 
 def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     """Compare the columns of a log.
 
-    vehicle: the car, for the size of its turning and the place of its centre of mass; without one neither is compared.
+    vehicle: the car, for the size of its turning and the place of its centre of mass; without one only gross errors of
+    the former are recognised.
 
     Raises
     ------
@@ -42,19 +61,43 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     for name in ("time", "speed"):
         if name not in values or not np.isfinite(values[name]).any():
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
-    time = values["time"]
-    instants = np.unique(time[np.isfinite(time)])
+    instants = np.unique(values["time"][np.isfinite(values["time"])])
     if instants.size > 1:
         check_times(instants)
+    check, sliding = _run_check(columns, vehicle)
+    agreements, limit = _compare_whole_log(columns, vehicle.wheelbase if vehicle else USUAL_WHEELBASE)
+    sentences = tuple(agreement.contradiction for agreement in agreements if agreement.contradiction)
+    return LoopCheck(
+        sentences + check.suspect, check.findings, tuple(agreements), float(np.ptp(instants)), sliding, limit
+    )
+
+
+def _run_check(columns: Columns, vehicle: Vehicle | None) -> tuple[InputCheck, float]:
+    """The check of a tracker over a log, and the seconds for which the car slid."""
+    time = columns.values["time"]
     missing = np.full(time.size, math.nan)
-    signals = {name: values.get(name, missing) for name in SIGNALS}
+    signals = {name: columns.values.get(name, missing) for name in SIGNALS}
+    if columns.ratio_unknown:
+        signals["command"] = missing
     if not np.isfinite(signals["command"]).any():
         signals["command"], signals["wheel"] = signals["wheel"], missing
-    place = np.stack([values.get(name, missing) for name in ("x", "y", "yaw")], axis=-1)
+    pose = np.stack([columns.values.get(name, missing) for name in ("x", "y", "yaw")], axis=-1)
     check, sliding, before = InputCheck(vehicle), 0.0, math.nan
-    rows = np.column_stack([time, place, *signals.values()])[np.isfinite(time)]
+    rows = np.column_stack([time, pose, *signals.values()])[np.isfinite(time)]
     for t, x, y, yaw, *rest in rows.tolist():
         check.add(t, t, (x, y, yaw), *rest)
         sliding += t - before if check.sliding and 0.0 < t - before < 1.0 else 0.0
         before = t
-    return LoopCheck(check.suspect, check.findings, float(np.ptp(rows[:, 0])), sliding)
+    return check, sliding
+
+
+def _compare_whole_log(columns: Columns, wheelbase: float) -> tuple[list[Agreement], str]:
+    """Agreements of the signals, and why those of the steering could not be compared."""
+    agreements = [compare_positions(columns.values)]
+    try:
+        log = shorten_log(log_of(columns.values, wheelbase, (), columns.commanded))
+        if columns.ratio_unknown:
+            log = replace(log, command=log.command / guessed_ratio(log, wheelbase))
+    except InvalidInput as error:
+        return agreements, str(error).removeprefix("log: ")
+    return agreements + compare_signals(log, wheelbase), ""

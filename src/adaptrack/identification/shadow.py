@@ -31,7 +31,6 @@ from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.models.contract import MEASURED
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.instants import LogSource, ReadLog, Samples
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading
@@ -343,12 +342,6 @@ def _judged(
 
 def _contradictions(read: ReadLog, car: Vehicle) -> Iterator[Warned]:
     """Inputs that contradict each other."""
-    checks = partial(check_conventions, read.log, car.wheelbase), partial(check_positions, read.columns.values)
-    for refuse in checks:
-        try:
-            refuse()
-        except InvalidInput as error:
-            yield Warned(str(error).removeprefix("log: ").rstrip("."), math.nan, 0.0)
     for sentence in check_loop(read.columns, car).contradictions:
         yield Warned(sentence.rstrip("."), math.nan, 0.0)
 

@@ -26,6 +26,7 @@ from adaptrack.results.words import (
     clock,
     counted,
     entry,
+    few,
     listed,
     number,
     percent,
@@ -107,7 +108,7 @@ def _environment() -> jinja2.Environment:
         "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(stroke.colour),
         "dashes": _dashes,
         "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
-        "title_of": title_of, "span": span,
+        "title_of": title_of, "span": span, "few": few,
     }  # fmt: skip
     return environment
 

@@ -1,4 +1,4 @@
-"""What a check of a loop's inputs knows of the car, what it remembers, and the mistakes that it knows."""
+"""Records of the check of a loop's inputs: the car, the memory of the check, and the mistakes that it recognises."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from itertools import pairwise
 from ..kernel import columns, exported, float64, inlined, int64, record, size_of, vector, viewer, void
 from ..maths.bits import left
 
-TICK, WINDOW, TICKS = 0.095, 4, 9
-"""s, between two looks at the samples; looks that a window spans, and that are kept."""
+TICK, WINDOW, TICKS, FEWEST = 0.095, 4, 9, 4
+"""s, between two looks at the samples; looks that a window spans, that are kept, and that are needed to compare."""
 LONGEST = 1.2
 """s, of a window; after a gap the comparison goes on behind it."""
-SLOW = 3.0
-"""m/s: slower, nothing is compared."""
+SLOW, CRAWLING = 3.0, 1.5
+"""m/s: below the first only commands and drifts of the pose are compared, below the second nothing."""
 POSITION = 0.045
 """m, noise of a difference of two positions."""
 DELAYS, DELAY = 13, 0.05
 """How many delays between a command and the turning of the car are tried, and their distance (s)."""
+BANKS = 4
+"""Models of the wheels, each with all delays: behind a lag; of a limited rate; the same with commands that are 4 times
+and 57 times as large as intended."""
+THROWN = 2 * DELAYS
+"""The first alternative of wheels that are thrown about by commands that are too large."""
 REQUESTED, CLOSEST = 64, 0.02
 """Commands that are kept; s, between two of them: what comes sooner replaces the last one."""
 SHIFTS, SHIFT = 13, 0.05
@@ -37,16 +42,18 @@ MISTAKES = columns(
     "lateral_acceleration_sign", "lateral_acceleration_in_g",
     "wheel_angle_sign", "wheel_angle_in_degrees", "wheel_angle_of_steering_wheel",
     "steering_sign", "command_too_small", "command_too_large",
+    "position_drifts", "yaw_drifts",
 )  # fmt: skip
-"""Bits of `Memory.suspect`: known mistakes of the inputs."""
+"""Bits of `Memory.suspect`: mistakes of the inputs that are recognised."""
 _FIRST = (
     MISTAKES.time_in_milliseconds, MISTAKES.speed_of_no_car, MISTAKES.speed_late, MISTAKES.yaw_in_degrees,
     MISTAKES.yaw_late, MISTAKES.yaw_rate_sign, MISTAKES.lateral_velocity_sign, MISTAKES.position_of_rear_axle,
-    MISTAKES.lateral_acceleration_sign, MISTAKES.wheel_angle_sign, MISTAKES.steering_sign, len(MISTAKES),
+    MISTAKES.lateral_acceleration_sign, MISTAKES.wheel_angle_sign, MISTAKES.steering_sign, MISTAKES.position_drifts,
+    len(MISTAKES),
 )  # fmt: skip
 SUBJECTS = columns("time", "speed", "speed_late", "course", "yaw_late", "yaw_rate", "lateral", "point", "pull", "wheel",
-                   "steering")  # fmt: skip
-"""What mistakes are about: of each subject one is named."""
+                   "steering", "pose")  # fmt: skip
+"""Subjects of mistakes: of each one mistake is reported."""
 ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
 """The bits of each subject."""
 NUMBERS = 3
@@ -54,6 +61,8 @@ NUMBERS = 3
 
 COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering", "clock")
 """The comparisons."""
+GRAMS_OF = (1, 1, 1, 1, 1, 1, BANKS * DELAYS, BANKS * DELAYS, SHIFTS)
+"""Alternatives of each comparison."""
 SAMPLE = columns(
     "t",  # s, when it was taken
     "now",  # s, of the call, on the same clock
@@ -79,9 +88,15 @@ settings_of = viewer(Settings)
 
 T = columns("t", "time", "x", "y", "yaw", "speed", "turned", "way", "yaw_rate", "vy", "pull", "wheel")
 """The car at a look, and means and changes since the look before: turned (rad), of the yaw; way (m), by the speed."""
-INTEGRAL = columns("t", "turning", "limited_turning", "thrown_turning", "angle", "limited_angle", "thrown_angle")
-"""Of a call, its time and integrals of what the commands ask for; limited: by wheels of a
-limited rate; thrown: if the commands were sent in degrees."""
+INTEGRAL = columns("t", "command", "turning", "limited_turning", "turning_times_4", "turning_times_57",
+                   "angle", "limited_angle", "angle_times_4", "angle_times_57")  # fmt: skip
+"""Of a call, its time, its command, and integrals of the turning and of the wheels' angle by each model (`BANKS`)."""
+ERRORS = columns("scale", "mounting", "slip", "lever", "gyro", "speed_late", "yaw_late")
+"""Honest errors of the sensors that are estimated: of the speed, relative; of the yaw (rad); of the slip of the rear
+tyres (s^2/m); of the position, ahead of the centre of mass (m); offset of the yaw rate (rad/s); clocks (s)
+of the speed and the yaw rate."""
+MOVED = columns("time", "way", "turned", "sideways")
+"""Since the last pose: s; m, by the speed; rad, by the yaw rate; m, by the lateral velocity."""
 Memory = record("Memory", (
     ("suspect", int64),  # bits of `MISTAKES`: those named so far
     ("against_steering", int64),  # 1: the car turns against its commands
@@ -93,10 +108,10 @@ Memory = record("Memory", (
     ("last", (float64, 5)),  # speed, yaw rate, v_y, lateral acceleration and wheel angle of the last sample
     "summed", ("sums", (float64, 5)),  # s since the last look, and their integrals
     ("tick_count", int64), ("ticks", (float64, TICKS, len(T))),  # looks, the last one at the end
-    "command", "lagged", "limited", "thrown",  # rad; behind the lag; with limited rate; as thrown about
+    "command", ("wheels", (float64, BANKS)),  # rad; angle of the wheels by each model
     ("begun_with", (float64, 2)),  # turning and angle at the beginning
     ("request_count", int64), ("request", int64), ("requests", (float64, REQUESTED, len(INTEGRAL))),
-    ("steps", int64), ("jumped", int64), ("askew", int64), ("degrees", int64),  # looks in a row at a mistake
+    ("steps", int64), ("jumped", int64), ("askew", int64), ("degrees", int64), ("beyond", int64),  # in a row
     ("agreed", int64), ("confirmed", int64),  # looks at which positions move along the yaw; whether in bends, too
     "origin", "yaw_least", "yaw_most",  # rad
     ("course_count", int64), ("course", int64), ("courses", (float64, COURSES, 2)),
@@ -104,9 +119,12 @@ Memory = record("Memory", (
     ("slips", int64), "calm",  # looks at which the car slides; s, since it no longer does
     ("seconds", (float64, len(COMPARED))), ("count", (float64, len(COMPARED))),  # of each comparison, see `Finding`
     ("repeated", (int64, len(COMPARED))), ("usual", (int64, len(COMPARED))), ("label", (int64, len(COMPARED))),
-    ("grams", (float64, len(COMPARED) - 3, 5, 5)),  # of the regressions
-    ("shifted", (float64, SHIFTS, 3)),  # of that of clocks
-    ("delayed", (float64, 2, 3 * DELAYS + 1, 11)),  # of those with a delay
+    ("grams", (float64, sum(GRAMS_OF), 5, 5)),  # of the regressions
+    ("placed", (float64, 3)), ("moved", (float64, len(MOVED))),  # last pose; motion since then
+    ("errors", (float64, len(ERRORS))), ("covariance", (float64, len(ERRORS), len(ERRORS))),
+    ("drifts", (float64, 2, 3)), ("honest_drifts", (float64, 2, 2)),  # m, m, rad; m, rad: in a short and a long time
+    "pull",  # m/s^2, mean lateral acceleration
+    ("steady", int64), ("drifting", int64),  # looks at which the pose did not drift; in a row at which it did
 ))  # fmt: skip
 """All that a check remembers."""
 memory_of = viewer(Memory)
@@ -117,17 +135,17 @@ Check = record("Check", (("settings", vector), ("memory", vector)))
 
 
 @inlined
-def say(own, subject, mistake, a, b, c):
-    """Name a mistake, unless one of its subject has been named; with what was measured."""
-    if own.suspect & ABOUT[subject] == 0:
-        own.suspect |= left(1, mistake)
-        own.measured[subject, 0], own.measured[subject, 1], own.measured[subject, 2] = a, b, c
+def report(memory, subject, mistake, a, b, c):
+    """Report a mistake with the measured numbers, unless one of its subject was reported before."""
+    if memory.suspect & ABOUT[subject] == 0:
+        memory.suspect |= left(1, mistake)
+        memory.measured[subject, 0], memory.measured[subject, 1], memory.measured[subject, 2] = a, b, c
 
 
 @inlined
-def named(own, subject):
-    """Whether a mistake of a subject has been named."""
-    return own.suspect & ABOUT[subject] != 0
+def is_reported(memory, subject):
+    """Whether a mistake of a subject was reported."""
+    return memory.suspect & ABOUT[subject] != 0
 
 
 @exported(void(float64, float64, float64, float64, float64, float64, vector))

@@ -1,8 +1,8 @@
-"""Comparisons: regressions y = sum b_i x_i + intercept under given hypotheses of b.
+"""One weighted regression for every comparison: y = b1 x1 + b2 x2 + b3 x3 + intercept under the given hypotheses.
 
-Of overlapping windows the squares of what a hypothesis leaves unexplained are summed, over those of the noise; old ones
-are forgotten. A mistake is named when it explains what was measured better than every honest value, by a multiple of
-twice the logarithm of the likelihood ratio (A. Wald, *Sequential Analysis*, 1947).
+Each window adds the products of its regressors, divided by its noise, to a Gram matrix; old windows are forgotten. From
+it follows the squared misfit of any hypothesis. A mistake is reported when it explains the windows better than every
+honest value, by a multiple of twice the logarithm of the likelihood ratio (A. Wald, *Sequential Analysis*, 1947).
 """
 
 from __future__ import annotations
@@ -12,175 +12,124 @@ import math
 from ..kernel import inlined, local
 from ..maths.bits import whole
 from ..maths.exponential import exp
-from .hypotheses import FIRST, HYPOTHESES
-from .record import DELAYS, MISTAKES
+from .hypotheses import FIRST, FIRST_GRAM, HYPOTHESES, HYPOTHESIS, LEAST_EVIDENCE, RULE, RULES, SURE
+from .record import GRAMS_OF, MISTAKES, THROWN
 
 MEMORY = 12.0
 """s, after which a window counts 1/e."""
-EVIDENCE, SURE, AGAIN = 12.0, 5.0, 2
-"""-, see above; where other measurements point there too; looks in a row at which it must be there."""
-UNKNOWN = 0.07
-"""Standard deviation of what was before the beginning, in the unit of y."""
-OVERLAP = 2.0
-"""Windows with a delay that share a sample."""
-BANKS = 3
-"""Of delays: of what is requested as it is, by wheels of a limited rate, by wheels that are thrown about."""
-XX, XY, X1, XH, MM, MY, M1, MH, HH, HY, H1 = range(11)
-"""Sums of a delay: of what was requested (x), the same with what was before its negative (m), y, 1, and h."""
-YY, Y1, ONE = range(3)
-"""Sums of no delay, in the last row."""
+LOOKS = 2
+"""Looks in a row at which there must be enough evidence."""
+X1, X2, X3, Y, ONE = range(5)
+REGRESSORS = 5
+LOOSE = 2.5
+"""How many times wider the intercept is for wheels that are thrown about."""
 
-_square, _full = local(4, 4), local(5)
+_square, _window = local(REGRESSORS, REGRESSORS), local(REGRESSORS)
 
 
 @inlined
-def pass_on(own, which, time):
-    """A window more; what is left of those before."""
+def start_window(memory, comparison, time):
+    """Count a window of a comparison; return the share that is left of the earlier ones."""
     left = exp(-time / MEMORY)
-    own.seconds[which] += time
-    own.count[which] = own.count[which] * left + 1.0
+    memory.seconds[comparison] += time
+    memory.count[comparison] = memory.count[comparison] * left + 1.0
     return left
 
 
 @inlined
-def decide(own, which, honest, usual, mistake, best, overlap, enough, again):
-    """Take down the usual honest value, and a mistake that is better by enough; the mistake that is certain."""
-    own.usual[which] = usual
-    better = (honest - best) / (overlap * max(1.0, best / own.count[which]))
-    own.repeated[which] = own.repeated[which] + 1 if better > enough else 0
-    if own.repeated[which] >= again:
-        own.label[which] = mistake
-    return own.label[which]
+def add_window(gram, left, weight, x1, x2, x3, y):
+    """Add a window to the sums of one alternative; weight: the inverse of its noise."""
+    window = _window()
+    window[X1], window[X2], window[X3], window[Y], window[ONE] = x1, x2, x3, y, 1.0
+    for i in range(REGRESSORS):
+        for j in range(i, REGRESSORS):
+            gram[i, j] = gram[j, i] = gram[i, j] * left + weight * weight * window[i] * window[j]
+
+
+@inlined
+def _eliminate(square, place, spread):
+    """Fit the coefficient of a regressor, whose prior has the standard deviation spread, whatever the others are."""
+    scale = 1.0 / (square[place, place] + 1.0 / (spread * spread))
+    for i in range(REGRESSORS):
+        for j in range(REGRESSORS):
+            if i != place and j != place:
+                square[i, j] -= square[i, place] * square[place, j] * scale
+
+
+@inlined
+def _reduce(memory, comparison, alternative, square):
+    """Write the sums of an alternative without its intercept and what was before the first command."""
+    gram = memory.grams[FIRST_GRAM[comparison] + alternative]
+    for i in range(REGRESSORS):
+        for j in range(REGRESSORS):
+            square[i, j] = gram[i, j]
+    intercept, before = RULES[comparison, RULE.intercept], RULES[comparison, RULE.before]
+    if before > 0.0:
+        _eliminate(square, X3, before)
+    if intercept > 0.0:
+        _eliminate(square, ONE, intercept * LOOSE if alternative >= THROWN else intercept)
 
 
 @inlined
 def _misfit(square, row):
-    """b' G b of a hypothesis, with -1 for y."""
-    b1, b2, b3 = HYPOTHESES[row, 1], HYPOTHESES[row, 2], HYPOTHESES[row, 3]
+    """The squared misfit of a hypothesis."""
+    b1, b2, b3 = HYPOTHESES[row, HYPOTHESIS.b1], HYPOTHESES[row, HYPOTHESIS.b2], HYPOTHESES[row, HYPOTHESIS.b3]
     return (
-        b1 * (b1 * square[0, 0] + 2.0 * (b2 * square[0, 1] + b3 * square[0, 2] - square[0, 3]))
-        + b2 * (b2 * square[1, 1] + 2.0 * (b3 * square[1, 2] - square[1, 3]))
-        + b3 * (b3 * square[2, 2] - 2.0 * square[2, 3])
-        + square[3, 3]
+        b1 * (b1 * square[X1, X1] + 2.0 * (b2 * square[X1, X2] + b3 * square[X1, X3] - square[X1, Y]))
+        + b2 * (b2 * square[X2, X2] + 2.0 * (b3 * square[X2, X3] - square[X2, Y]))
+        + b3 * (b3 * square[X3, X3] - 2.0 * square[X3, Y])
+        + square[Y, Y]
     )
 
 
 @inlined
-def compare(own, which, x1, x2, x3, y, noise, time, overlap, intercept, evidence):
-    """Take in a window; 1 + the mistake that is now certain, or 0.
-
-    overlap: windows that share a sample; intercept: its standard deviation, in the unit of y; evidence: that is needed.
-    """
-    gram, full, square = own.grams[which], _full(), _square()
-    full[0], full[1], full[2], full[3], full[4] = x1 / noise, x2 / noise, x3 / noise, y / noise, 1.0 / noise
-    left = pass_on(own, which, time)
-    for i in range(5):
-        for j in range(i, 5):
-            gram[i, j] = gram[i, j] * left + full[i] * full[j]
-    shrunk = 1.0 / (gram[4, 4] + 1.0 / (intercept * intercept)) if intercept > 0.0 else 0.0
-    for i in range(4):
-        for j in range(i, 4):
-            square[i, j] = gram[i, j] - gram[i, 4] * gram[j, 4] * shrunk
-    first, end = FIRST[which], FIRST[which + 1]
-    if _misfit(square, first + own.usual[which]) < evidence * overlap:  # no mistake can be better by so much
-        own.repeated[which] = 0
-        return own.label[which]
-    honest, best, usual, mistake = math.inf, math.inf, first, first
-    for row in range(first, end):
-        each = _misfit(square, row)
-        if HYPOTHESES[row, 0] == 0.0:
-            if each < honest:
-                honest, usual = each, row
-        elif each < best:
-            best, mistake = each, row
-    return decide(own, which, honest, usual - first, whole(HYPOTHESES[mistake, 0]), best, overlap, evidence, AGAIN)
-
-
-@inlined
-def add_delayed(sums, i, left, mean, before, share, y, weight):
-    """Take a window into the sums of a delay.
-
-    mean: what was requested; before: the first command as it was before the beginning, of which the share is what is
-    left; weight: of a square.
-    """
-    plus, minus, row = mean + before, mean - before, sums[i]
-    row[XX] = row[XX] * left + weight * plus * plus
-    row[XY] = row[XY] * left + weight * plus * y
-    row[X1] = row[X1] * left + weight * plus
-    row[XH] = row[XH] * left + weight * plus * share
-    row[MM] = row[MM] * left + weight * minus * minus
-    row[MY] = row[MY] * left + weight * minus * y
-    row[M1] = row[M1] * left + weight * minus
-    row[MH] = row[MH] * left + weight * minus * share
-    row[HH] = row[HH] * left + weight * share * share
-    row[HY] = row[HY] * left + weight * share * y
-    row[H1] = row[H1] * left + weight * share
-
-
-@inlined
-def _parabola(sums, i, against, intercept):
-    """(a, b, c) of the misfit a f^2 - 2 b f + c of y = f x + g h + intercept, with a free g; against: for f < 0."""
-    row, end = sums[i], sums[BANKS * DELAYS]
-    xx, xy, x1, xh = row[XX], row[XY], row[X1], row[XH]
-    if against:
-        xx, xy, x1, xh = row[MM], row[MY], row[M1], row[MH]
-    hh, one, h1 = row[HH] + 1.0 / (UNKNOWN * UNKNOWN), end[ONE] + 1.0 / (intercept * intercept), row[H1]
-    hy, y1, scale = row[HY], end[Y1], 1.0 / (hh * one - h1 * h1)
-    return (
-        xx - scale * (one * xh * xh - 2.0 * h1 * xh * x1 + hh * x1 * x1),
-        xy - scale * (one * xh * hy - h1 * (xh * y1 + hy * x1) + hh * x1 * y1),
-        end[YY] - scale * (one * hy * hy - 2.0 * h1 * hy * y1 + hh * y1 * y1),
-    )
-
-
-@inlined
-def begin_delayed(own, which, sums, y, weight, time):
-    """A window more in a comparison with a bank of delays; what is left of those before."""
-    left = pass_on(own, which, time)
-    row = sums[BANKS * DELAYS]
-    row[YY], row[Y1], row[ONE] = row[YY] * left + weight * y * y, row[Y1] * left + weight * y, row[ONE] * left + weight
-    return left
-
-
-@inlined
-def compare_delayed(own, which, hypotheses, sums, intercept, loose, against, small, large, sure):
-    """1 + the mistake that is now certain, or 0.
-
-    intercept, loose: standard deviations of the intercept, and of that of wheels that are thrown about; against,
-    small, large: evidence that is needed for a wrong sign, and for commands that do too little and too much; sure: what
-    else is measured makes a mistake likely.
-    """
-    first, end = FIRST[hypotheses], FIRST[hypotheses + 1]
-    least, last = SURE if sure else min(min(against, small), large), own.usual[which]
-    factor = HYPOTHESES[first + last // (BANKS * DELAYS), 1]
-    a, b, c = _parabola(sums, last % (BANKS * DELAYS), factor < 0.0, intercept)
-    if factor * (a * factor - 2.0 * b) + c < least * OVERLAP:
-        own.repeated[which] = 0
-        return own.label[which]
-    honest, best, usual, mistake = math.inf, math.inf, 0, first
-    for i in range(BANKS * DELAYS):
-        thrown = i >= (BANKS - 1) * DELAYS
-        a, b, c = _parabola(sums, i, False, loose if thrown else intercept)
-        minus_a, minus_b, minus_c = _parabola(sums, i, True, intercept)
+def _find_best(memory, comparison, hypotheses):
+    """Squared misfits of the best honest value, noted in `usual`, and of the best mistake, and the row of this."""
+    square = _square()
+    first, end, alternatives = FIRST[hypotheses], FIRST[hypotheses + 1], GRAMS_OF[comparison]
+    honest, best, mistake = math.inf, math.inf, first
+    for alternative in range(alternatives):
+        _reduce(memory, comparison, alternative, square)
         for row in range(first, end):
-            label, factor = HYPOTHESES[row, 0], HYPOTHESES[row, 1]
-            if thrown != (label == 1.0 + MISTAKES.command_too_large):
+            if not HYPOTHESES[row, HYPOTHESIS.first] <= alternative < HYPOTHESES[row, HYPOTHESIS.end]:
                 continue
-            if factor < 0.0:
-                each = factor * (minus_a * factor - 2.0 * minus_b) + minus_c
-            else:
-                each = factor * (a * factor - 2.0 * b) + c
-            if label == 0.0:
-                if each < honest:
-                    honest, usual = each, (row - first) * BANKS * DELAYS + i
-            elif each < best:
-                best, mistake = each, row
-    label = whole(HYPOTHESES[mistake, 0])
-    enough = small
-    if label == 1 + MISTAKES.command_too_large:
-        enough = large
-    elif sure:
-        enough = SURE
-    elif label == 1 + MISTAKES.steering_sign:
-        enough = against
-    return decide(own, which, honest, usual, label, best, OVERLAP, enough, 1 if sure else AGAIN)
+            misfit = _misfit(square, row)
+            if HYPOTHESES[row, HYPOTHESIS.label] > 0.0:
+                if misfit < best:
+                    best, mistake = misfit, row
+            elif misfit < honest:
+                honest, memory.usual[comparison] = misfit, (row - first) * alternatives + alternative
+    return honest, best, mistake
+
+
+@inlined
+def judge(memory, comparison, hypotheses, factor, sure):
+    """Compare all hypotheses; return 1 + the mistake that is now certain, or 0.
+
+    hypotheses: the place of their table in `FIRST`; factor: on the evidence that is needed; sure: whether other
+    measurements point to a mistake, so that `SURE` is enough.
+    """
+    overlap, alternatives, usual = RULES[comparison, RULE.overlap], GRAMS_OF[comparison], memory.usual[comparison]
+    square = _square()
+    _reduce(memory, comparison, usual % alternatives, square)
+    least = SURE if sure else factor * LEAST_EVIDENCE[hypotheses]
+    if _misfit(square, FIRST[hypotheses] + usual // alternatives) < least * overlap:  # no mistake can be better by it
+        memory.repeated[comparison] = 0
+        return memory.label[comparison]
+    honest, best, mistake = _find_best(memory, comparison, hypotheses)
+    label = whole(HYPOTHESES[mistake, HYPOTHESIS.label])
+    sure = sure and label != 1 + MISTAKES.command_too_large
+    enough = SURE if sure else factor * HYPOTHESES[mistake, HYPOTHESIS.evidence]
+    better = (honest - best) / (overlap * max(1.0, best / memory.count[comparison]))
+    memory.repeated[comparison] = memory.repeated[comparison] + 1 if better > enough else 0
+    if memory.repeated[comparison] >= (1 if sure else LOOKS):
+        memory.label[comparison] = label
+    return memory.label[comparison]
+
+
+@inlined
+def compare(memory, comparison, x1, x2, x3, y, noise, time):
+    """Add a window (s long) to a comparison without alternatives; return 1 + the mistake that is now certain, or 0."""
+    left = start_window(memory, comparison, time)
+    add_window(memory.grams[FIRST_GRAM[comparison]], left, 1.0 / noise, x1, x2, x3, y)
+    return judge(memory, comparison, comparison, 1.0, False)

@@ -8,7 +8,7 @@ from ..controllers.contract import wrapped
 from ..kernel import inlined
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
-from .record import POSITION, SUBJECTS, TICK, TICKS, T, named
+from .record import POSITION, SUBJECTS, TICK, TICKS, T, is_reported
 
 SLIDING, NOT_SLIDING, SLIDES = math.radians(8.5), math.radians(5.0), math.radians(4.5)
 """Sideslip from which the car slides, below which it no longer does, and of it what a rolling turn does not explain."""
@@ -17,30 +17,30 @@ RELEASE = 0.5
 
 
 @inlined
-def judge_sliding(own, settings):
+def judge_sliding(memory, settings):
     """Whether the car slides, at a look."""
-    last, middle, before = own.ticks[TICKS - 1], own.ticks[TICKS - 2], own.ticks[TICKS - 3]
+    last, middle, before = memory.ticks[TICKS - 1], memory.ticks[TICKS - 2], memory.ticks[TICKS - 3]
     unsure, looks = 0.0, 1
     if math.isfinite(last[T.vy]):
-        own.sideslip = atan2(last[T.vy], last[T.speed])
+        memory.sideslip = atan2(last[T.vy], last[T.speed])
     else:
         east, north = last[T.x] - before[T.x], last[T.y] - before[T.y]
         way = hypot(east, north)
-        known = way > 1.0 and own.agreed > 10 and not named(own, SUBJECTS.course)
+        known = way > 1.0 and memory.agreed > 10 and not is_reported(memory, SUBJECTS.course)
         unsure, looks = 1.5 * POSITION / max(way, 1e-3), 3  # a position that jumps is in two
         beside = wrapped(atan2(north, east) - (last[T.yaw] - 0.5 * (last[T.turned] + middle[T.turned])))
-        own.sideslip = beside - own.mounting if known else math.nan
+        memory.sideslip = beside - memory.mounting if known else math.nan
     measured = math.isfinite(last[T.yaw_rate])
     rate = last[T.yaw_rate] if measured else last[T.turned] / max(last[T.time], TICK)
     rolling = settings.lr * rate / last[T.speed]
-    slip = abs(own.sideslip) - unsure
-    if slip > SLIDING and abs(own.sideslip - rolling) - unsure > SLIDES:
-        own.slips += 1
-        own.calm = 0.0
-        if own.slips >= looks:
-            own.sliding = 1
+    slip = abs(memory.sideslip) - unsure
+    if slip > SLIDING and abs(memory.sideslip - rolling) - unsure > SLIDES:
+        memory.slips += 1
+        memory.calm = 0.0
+        if memory.slips >= looks:
+            memory.sliding = 1
         return
-    own.slips = 0
-    if own.sliding > 0:
-        own.calm = 0.0 if slip > NOT_SLIDING else own.calm + last[T.time]
-        own.sliding = 1 if own.calm < RELEASE else 0
+    memory.slips = 0
+    if memory.sliding > 0:
+        memory.calm = 0.0 if slip > NOT_SLIDING else memory.calm + last[T.time]
+        memory.sliding = 1 if memory.calm < RELEASE else 0

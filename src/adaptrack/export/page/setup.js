@@ -52,7 +52,7 @@ function nameOfCar(i) {
   const {controllers} = page.setup, {kind, belief, told, tuning} = controllers[i] ?? {}, other = controllers[1 - i];
   const short = nameOfController(kind, SHORT), own = kind === "informed" ? "MPC" : short;
   if (told) return `${own} that is told the lag`;
-  if (given(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
+  if (isSet(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
   if (other?.kind !== kind) return short;
   const differs = tuning && TUNINGS.filter(name => tuning[name] !== other.tuning?.[name]);
   return differs?.length ? `${own}, ${differs.map(name => `${name} ${niceNumber(tuning[name])}`).join(", ")}` : `${short} (${i ? "second" : "first"})`;
