@@ -458,9 +458,9 @@ def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
 
 
 def test_the_colours_of_several_maps_span_all_their_numbers():
-    scale = shared_scale([np.array([[1.0, np.nan]]), np.array([[7.0]])], whole=True)
+    scale = shared_scale([np.array([[1.0, np.nan]]), np.array([[7.0]])], integer=True)
     assert (scale.low, scale.high) == (1.0, 7.0)
-    alike = shared_scale([np.array([[3.0]])], whole=False)
+    alike = shared_scale([np.array([[3.0]])], integer=False)
     assert (alike.low, alike.high) == (2.5, 3.5)
 
 

@@ -14,7 +14,7 @@ from adaptrack.results import style
 from adaptrack.results.draw import print_figure
 from adaptrack.results.drive import drive_result, write_drive_page
 from adaptrack.results.record import DrawnCar, DriveRecord
-from adaptrack.results.replay import UNITS, packed, replay_data, sampled
+from adaptrack.results.replay import REPLAY_UNITS, packed, replay_data, sampled
 from adaptrack.results.road_pictures import above_picture, outline_stations, scale_of
 from adaptrack.results.run_pictures import thinned, tracking_picture
 from adaptrack.road import Line, Road, generate_road
@@ -58,7 +58,7 @@ def test_names_from_files_cannot_break_the_page(tmp_path):
 def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
-    for name, unit in UNITS.items():
+    for name, unit in REPLAY_UNITS.items():
         assert np.abs(unpacked(car["columns"][name]) - getattr(drive, name)).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 

@@ -155,14 +155,20 @@ def _record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, 
 # -- tables -----------------------------------------------------------------------------------------------------------
 def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
     """All contenders in a profile, for the page; columns without a value are left out."""
-    shown = [
+    table_rows = [
         {**row, "rms_interval": (row["rms_low"], row["rms_high"]), "cost_interval": (row["cost_low"], row["cost_high"])}
         for row in rows
     ]
-    columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in shown)]
-    failed = where(shown, ["failures"], lambda row: row["failures"] > 0)
+    columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
+    failed = where(table_rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(
-        profile, f"Contenders in profile {profile}", columns, shown, _NOTE, best=_best_cells(shown), alert=failed
+        profile,
+        f"Contenders in profile {profile}",
+        columns,
+        table_rows,
+        _NOTE,
+        best=_best_cells(table_rows),
+        alert=failed,
     )
 
 
@@ -178,18 +184,18 @@ def _best_cells(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
 
 def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> ResultTable:
     """All contenders in a profile, for the console."""
-    shown = [
+    table_rows = [
         {
             "entry_speed": None, **row, "failed": f"{row['failures']}/{row['runs']}",
             "rms": f"{row['rms_ratio']:.3g} [{row['rms_low']:.2g}-{row['rms_high']:.2g}]",
         }
         for row in rows
     ]  # fmt: skip
-    columns = [column for column in RANKING_COLUMNS if any(row[column.name] is not None for row in shown)]
+    columns = [column for column in RANKING_COLUMNS if any(row[column.name] is not None for row in table_rows)]
     numbers = (len(comparison.cars), "car"), (len(comparison.roads), "road"), (len(comparison.seeds), "noise seed")
     size = ", ".join(counted(n, noun) for n, noun in numbers)
     title = f"{profile}: {size}; ratio to {comparison.reference}"
-    return ResultTable(f"console {profile}", title, columns, shown, brief=True)
+    return ResultTable(f"console {profile}", title, columns, table_rows, brief=True)
 
 
 def _failures_by_car(compared: Compared) -> ResultTable:
@@ -218,8 +224,12 @@ def _failed_runs_table(compared: Compared) -> list[ResultTable]:
     """The first failed runs; none if no run failed."""
     runs = compared.failed_runs
     note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
-    shown = runs[:MAX_FAILED_RUNS]
-    return [ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, shown, note, brief=True)] if shown else []
+    table_rows = runs[:MAX_FAILED_RUNS]
+    return (
+        [ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, table_rows, note, brief=True)]
+        if table_rows
+        else []
+    )
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-WIDE = 140
+PLAIN_WIDTH = 140
 """Columns of text where standard output is no terminal; every table of numbers fits 80."""
 _NAME, _WRAPPED = 40, 16
 """Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
@@ -61,7 +61,7 @@ def written(value: Any, column: Column) -> str:
     if value is None:
         return "-"
     if isinstance(value, tuple):
-        return " to ".join(written(each, column) for each in value)
+        return " to ".join(written(end, column) for end in value)
     if column.show == "percent":
         return f"{100.0 * value:.0f}"
     if column.show == "whole":
@@ -90,25 +90,25 @@ def _grid(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    made = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
-        known = [row[column.name] for row in rows if row[column.name] is not None]
-        numbers = all(isinstance(value, int | float) for value in known)
-        least = min(_NAME, max(map(len, map(str, known)), default=0)) if column is columns[0] else None
-        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
+        values = [row[column.name] for row in rows if row[column.name] is not None]
+        numbers = all(isinstance(value, int | float) for value in values)
+        least = min(_NAME, max(map(len, map(str, values)), default=0)) if column is columns[0] else None
+        grid.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
     for row in rows:
-        made.add_row(*(Text(written(row[column.name], column)) for column in columns))
-    return made
+        grid.add_row(*(Text(written(row[column.name], column)) for column in columns))
+    return grid
 
 
 def _parts(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[list[Column]]:
     """The columns of each table, the first of all in each: as many as fit, or one at least."""
-    names, *others = columns
+    names, *value_columns = columns
     first = min(_NAME, _needed(names, rows))
     parts: list[list[Column]] = [[names]]
     used = first
-    for i, column in enumerate(others):
-        last = i == len(others) - 1 and len(parts) == 1  # text at the end of a line may wrap
+    for i, column in enumerate(value_columns):
+        last = i == len(value_columns) - 1 and len(parts) == 1  # text at the end of a line may wrap
         needed = min(_needed(column, rows), _WRAPPED if last and _is_text(column, rows) else _NAME) + 2
         if used + needed > width and len(parts[-1]) > 1:
             parts.append([names])
@@ -139,5 +139,5 @@ def _console(aside: bool = False) -> Console:
 
     colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
     stream = sys.stderr if aside else sys.stdout
-    width = None if stream.isatty() or "COLUMNS" in os.environ else WIDE
+    width = None if stream.isatty() or "COLUMNS" in os.environ else PLAIN_WIDTH
     return Console(file=stream, width=width, color_system=colours, highlight=False)

@@ -43,24 +43,24 @@ MAX_LEVELS = 15
 """Up to this many distinct values are levels, each with a bin of its own."""
 BARS = 28
 
-QUANTILES = (
+QUANTILE_COLUMNS = (
     Column("lowest", "Lowest", show=3),
     Column("p10", "P10", show=3),
     Column("p50", "Median", show=3),
     Column("p90", "P90", show=3),
     Column("highest", "Highest", show=3),
 )
-RANGES = (
+RANGE_COLUMNS = (
     Column("quantity", "Quantity"),
     Column("unit", "Unit"),
     Column("lowest", "Lowest", show=3),
     Column("highest", "Highest", show=3),
     Column("levels", "Distinct values"),
 )
-OPTIMUM = (Column("target", "Target"), *QUANTILES, Column("at_a_bound", "At a bound", "%", "percent"))
-FLATNESS = (
+OPTIMUM_COLUMNS = (Column("target", "Target"), *QUANTILE_COLUMNS, Column("at_a_bound", "At a bound", "%", "percent"))
+FLATNESS_COLUMNS = (
     Column("within", "Within", "% of best", "percent"),
-    *(Column(column.name, column.title, "%", "percent") for column in QUANTILES),
+    *(Column(column.name, column.title, "%", "percent") for column in QUANTILE_COLUMNS),
 )
 
 
@@ -70,9 +70,9 @@ class TuningTarget:
 
     label: str
     values: Array
-    """(n,)"""
+    """(n,) value of each operating point"""
     standard: float
-    whole: bool = False
+    integer: bool = False
 
 
 def dataset_result(dataset: DataSet) -> Result:
@@ -134,7 +134,7 @@ def dataset_html(dataset: DataSet) -> str:
     """A data set in a notebook."""
     searched = dataset.rows(dataset.computed)
     rows = {
-        "Operating points": f"{number(len(dataset))}, of which swarms searched {number(len(searched))}",
+        "Operating points": f"{number(len(dataset))}, of which {number(len(searched))} searched by swarms",
         "Library": f"{number(len(dataset.library))} tunings",
         **dict(zip(("Speed", "Lateral reference", "Friction", "Side wind"), map(span, dataset.operating_points.T),
                    strict=True)),
@@ -150,25 +150,25 @@ def _tables(summary: dict[str, Any]) -> list[ResultTable]:
     scalars = {key: value for key, value in summary.items() if not isinstance(value, dict | list)}
     optimum = [_without_logarithm(row) for row in summary["optimum"]]
     return [
-        ResultTable("data set", "Data set", names, _named(scalars), brief=True),
-        ResultTable("costs", "Costs", names, _named(summary["costs"]), brief=True),
-        ResultTable("ranges", "Ranges of the operating points", RANGES, summary["ranges"], brief=True,
+        ResultTable("data set", "Data set", names, _named_rows(scalars), brief=True),
+        ResultTable("costs", "Costs", names, _named_rows(summary["costs"]), brief=True),
+        ResultTable("ranges", "Ranges of the operating points", RANGE_COLUMNS, summary["ranges"], brief=True,
                     note="Positive is to the left, also for wind."),
-        ResultTable("optimum", "The best tunings", OPTIMUM, optimum, brief=True,
+        ResultTable("optimum", "The best tunings", OPTIMUM_COLUMNS, optimum, brief=True,
                     note="Np, Nc in control periods, Q in 1/m², R in 1/rad²."),
-        ResultTable("flatness", "Share of the library whose cost is near the best", FLATNESS, summary["flatness"],
-                    brief=True),
+        ResultTable("flatness", "Share of the library whose cost is near the best", FLATNESS_COLUMNS,
+                    summary["flatness"], brief=True),
     ]  # fmt: skip
 
 
-def _named(values: dict[str, Any]) -> list[Row]:
+def _named_rows(values: dict[str, Any]) -> list[Row]:
     return [{"name": name.replace("_", " "), "value": value} for name, value in values.items()]
 
 
 def _without_logarithm(row: Row) -> Row:
     if not row["target"].startswith("log "):
         return row
-    values = {column.name: row[column.name] for column in QUANTILES}
+    values = {column.name: row[column.name] for column in QUANTILE_COLUMNS}
     linear = {name: None if value is None else float(np.exp(value)) for name, value in values.items()}
     return {**row, **linear, "target": row["target"].removeprefix("log ")}
 
@@ -178,8 +178,8 @@ def targets(rows: DataSet) -> list[TuningTarget]:
     """Horizons and R/Q of the best tunings."""
     Np, Nc, Q, R = STANDARD
     return [
-        TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, whole=True),
-        TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, whole=True),
+        TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, integer=True),
+        TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, integer=True),
         TuningTarget(r"$\log_{10} R/Q$ (m²/rad²)", np.log10(rows.ratios), float(np.log10(R / Q))),
     ]
 
@@ -188,7 +188,7 @@ def histogram(target: TuningTarget) -> Panel:
     """How often each value of a target is the best."""
     values = np.append(target.values, target.standard)
     low, high = float(values.min()), float(values.max())
-    if target.whole:
+    if target.integer:
         edges = np.arange(low - 0.5, high + 1.0, max(1, round((high - low) / BARS)))
     else:
         edges = np.linspace(low, high + 1e-9, BARS + 1)
@@ -240,7 +240,7 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
     for line, column in set(zip(lines.tolist(), columns.tolist(), strict=True)):
         medians[line, column] = np.median(target.values[(lines == line) & (columns == column)])
     low, high = float(target.values.min()), float(target.values.max())
-    scale = ColourScale(low, high if high > low else low + 1.0, whole=target.whole)
+    scale = ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
 
     def draw(axes: Axes) -> None:
         draw_heat_map(axes, x_edges, y_edges, medians, scale)

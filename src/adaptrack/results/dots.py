@@ -48,24 +48,24 @@ def dots_panel(
     label: of the axis; words: before the numbers in the alternative text; level: where an upright line is drawn.
     Returns the panel and its size on the page (inch).
     """
-    shown = _first_dots(dots)
-    edge = _edge(shown)
+    rows = _first_dots(dots)
+    edge = _edge(rows)
 
     def draw(axes: Axes) -> None:
         if level is not None:
             axes.axvline(level, linewidth=0.9, **BACKGROUND_STROKE.look)
-        for row, dot in enumerate(shown):
+        for row, dot in enumerate(rows):
             _draw_dot(axes, dot, row, edge)
-        low, high, log = _limits(shown, [] if level is None else [level])
+        low, high, log = _limits(rows, [] if level is None else [level])
         axes.set_xlabel(label)
         if log:
             set_log_scale(axes, "x", (low, high))
         else:
             axes.set_xlim(low, high)
-        name_rows(axes, [data_text(legible(dot.name, _NAME_LETTERS)) for dot in shown])
+        name_rows(axes, [data_text(legible(dot.name, _NAME_LETTERS)) for dot in rows])
 
-    panel = Panel("", draw, f"{words or label}. {'; '.join(map(_describe, shown))}.")
-    return panel, (PICTURE_WIDTH, max(_MIN_HEIGHT, _AXIS_HEIGHT + _ROW_HEIGHT * len(shown)))
+    panel = Panel("", draw, f"{words or label}. {'; '.join(map(_describe, rows))}.")
+    return panel, (PICTURE_WIDTH, max(_MIN_HEIGHT, _AXIS_HEIGHT + _ROW_HEIGHT * len(rows)))
 
 
 def _draw_dot(axes: Axes, dot: Dot, row: int, edge: float) -> None:
@@ -82,12 +82,12 @@ def _draw_dot(axes: Axes, dot: Dot, row: int, edge: float) -> None:
 
 def caption_notes(dots: Sequence[Dot]) -> str:
     """The sentences of a caption that explain crosses, arrows and omitted dots."""
-    shown = _first_dots(dots)
-    near = [dot for dot in shown if dot.value <= _edge(shown)]
+    rows = _first_dots(dots)
+    near = [dot for dot in rows if dot.value <= _edge(rows)]
     notes = [
         (any(dot.failed for dot in near), "Cross: failed runs."),
-        (len(near) < len(shown), "Arrow: beyond the axis."),
-        (len(shown) < len(dots), f"The first {len(shown)} of {len(dots)}; the table has all."),
+        (len(near) < len(rows), "Arrow: beyond the axis."),
+        (len(rows) < len(dots), f"The first {len(rows)} of {len(dots)}; the table has all."),
     ]
     return "".join(f" {note}" for applies, note in notes if applies)
 

@@ -32,7 +32,7 @@ class Shown:
 _CONTROLLER = Column("label", "Controller")
 _BOLD = "Bold: the smallest, among the runs that did not fail."
 
-TRACKING = (
+TRACKING_COLUMNS = (
     Column("mse", "MSE", "m²", 3),
     Column("paper", "Paper", "m²", "given"),
     Column("ratio", "Ours", "/ paper", 3),
@@ -43,7 +43,7 @@ TRACKING = (
     Column("in_lane", "In lane", "% of time", "percent"),
     Column("outcome", "Failed"),
 )
-EFFORT = (
+EFFORT_COLUMNS = (
     _CONTROLLER,
     Column("heading_rms", "Heading RMS", "rad (°)", "degrees"),
     Column("heading_max", "Heading max", "rad (°)", "degrees"),
@@ -56,7 +56,7 @@ EFFORT = (
     Column("jerk_r79", "Jerk R79", "m/s³", 3),
     Column("cost", "Cost J", "m²", 3),
 )
-SOLVER = (
+SOLVER_COLUMNS = (
     _CONTROLLER,
     Column("at_change_limit", "Δu limit", "% of steps", "percent"),
     Column("at_angle_limit", "u limit", "% of steps", "percent"),
@@ -76,12 +76,12 @@ SOLVER = (
     Column("step_us_p999", "Step p99.9", "µs", 3),
     Column("step_us_max", "Step max", "µs", 3),
 )
-OPTIONAL = (
+OPTIONAL_COLUMNS = (
     "paper", "ratio", "p95_error", "max_corner_error", "in_lane", "reversals", "jerk_r79", "dead_reckoning",
     "dead_reckoning_max", "prediction_error_half", "prediction_error_one",
 )  # fmt: skip
 """Columns that are left out where no run has a value."""
-BELIEF = (
+BELIEF_STATE_COLUMNS = (
     _CONTROLLER,
     Column("belief_learning", "Learning", "%", "percent"),
     Column("belief_settled", "Settled", "%", "percent"),
@@ -89,7 +89,7 @@ BELIEF = (
     Column("belief_contradictory", "Contradictory", "%", "percent"),
     Column("belief_state", "At the end"),
 )
-CONSOLE = (
+DRIVE_COLUMNS = (
     Column("scenario", "driven"),
     Column("controller", "controller"),
     Column("rms_error", "RMS e", "m", 3),
@@ -118,7 +118,7 @@ def _row(run: Shown) -> dict[str, Any]:
         "label": run.label, "paper": paper, "ratio": None if paper is None else metrics.mse / paper,
         "dead_reckoning": metrics.dead_reckoning or None,
         "outcome": f"at {metrics.failed_at:.1f} s" if metrics.failed else "no",
-        "tuning": {name: _range(_driven(run.trajectory, name)) for name in run.trajectory.tuning},
+        "tuning": {name: _range(_driven_values(run.trajectory, name)) for name in run.trajectory.tuning},
     }  # fmt: skip
 
 
@@ -128,26 +128,28 @@ def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
     rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in rows_of(runs)]
     bold = where(rows, ["mse", "rms_error"], lambda row: row["best"])
     failed = where(rows, ["outcome"], lambda row: row["failed"])
-    tracking = [_CONTROLLER, *_with_values(TRACKING, rows)]
+    tracking = [_CONTROLLER, *_with_values(TRACKING_COLUMNS, rows)]
     tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
     troubles = [where(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
     tables = [
         ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", best=bold, alert=failed),
-        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT, rows), rows),
-        ResultTable(f"{name} solver", "Limits, solver and time", _with_values(SOLVER, rows), rows,
+        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT_COLUMNS, rows), rows),
+        ResultTable(f"{name} solver", "Limits, solver and time", _with_values(SOLVER_COLUMNS, rows), rows,
                     "A dash: not measured.", alert=frozenset().union(*troubles)),
     ]  # fmt: skip
     learners = [row for row in rows if row["belief_state"]]
     if learners:
         title = "State of the learned quantities, share of the time"
-        tables.append(ResultTable(f"{name} belief", title, BELIEF, learners))
+        tables.append(ResultTable(f"{name} belief", title, BELIEF_STATE_COLUMNS, learners))
     return tables
 
 
 def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
     """The columns without those that are optional and have no value."""
     return [
-        column for column in columns if column.name not in OPTIONAL or any(_exists(row[column.name]) for row in rows)
+        column
+        for column in columns
+        if column.name not in OPTIONAL_COLUMNS or any(_exists(row[column.name]) for row in rows)
     ]
 
 
@@ -179,19 +181,19 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """The table that the console prints; rows: the measures of each run, with `scenario` and `controller`."""
-    empty = dict.fromkeys(column.name for column in CONSOLE)  # a run of one instant has no measures of its path
-    shown = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", title, CONSOLE, shown, brief=True)
+    empty = dict.fromkeys(column.name for column in DRIVE_COLUMNS)  # a run of one instant has no measures of its path
+    table_rows = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", title, DRIVE_COLUMNS, table_rows, brief=True)
 
 
-def _entries(shown: Iterable[Shown]) -> dict[str, str]:
+def _entries(runs: Iterable[Shown]) -> dict[str, str]:
     """The tuning entries of the runs and their units, as a reader writes them."""
     powers = str.maketrans("-23", "–²³")
-    units = {name: run.trajectory.units[f"tuning.{name}"] for run in shown for name in run.trajectory.tuning}
+    units = {name: run.trajectory.units[f"tuning.{name}"] for run in runs for name in run.trajectory.tuning}
     return {name: "" if unit == "-" else unit.replace("^", "").translate(powers) for name, unit in units.items()}
 
 
-def _driven(run: Trajectory, name: str) -> NDArray[Any]:
+def _driven_values(run: Trajectory, name: str) -> NDArray[Any]:
     """A tuning entry of the run, as long as it was driven."""
     values = np.asarray(run.tuning.get(name, np.full(len(run), np.nan)), dtype=float)[np.isfinite(run.command)]
     return values[np.isfinite(values)]

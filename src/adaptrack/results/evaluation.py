@@ -183,7 +183,7 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     surfaces = {name: _surface(schedule) for name, schedule in schedules.items()}
     panels = []
     for k, (symbol, unit) in enumerate(OUTPUT_LABELS):
-        scale = shared_scale([surface[..., k] for surface in surfaces.values()], whole=k < 2)
+        scale = shared_scale([surface[..., k] for surface in surfaces.values()], integer=k < 2)
         for name, schedule in schedules.items():
             label, input_unit = INPUT_LABELS[schedule.inputs[1]]
             cells = schedule.domain[0], schedule.domain[1], surfaces[name][..., k]
@@ -208,12 +208,12 @@ def _draw_map(
     axes.set(xlabel="Speed (m/s)", ylabel=label)
 
 
-def shared_scale(values: Sequence[Array], whole: bool) -> ColourScale:
+def shared_scale(values: Sequence[Array], integer: bool) -> ColourScale:
     """From the lowest to the highest of all values; half a unit on either side where they are one number."""
     everything = np.concatenate([part.ravel() for part in values])
     low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
     margin = 0.0 if high > low else 0.5
-    return ColourScale(low - margin, high + margin, whole=whole)
+    return ColourScale(low - margin, high + margin, integer=integer)
 
 
 def _surface(schedule: Schedule) -> Array:

@@ -62,39 +62,40 @@ QUANTITY_COLUMNS = (
 )
 
 
-def identification_result(found: Identification, command: str = "") -> Result:
+def identification_result(identification: Identification, command: str = "") -> Result:
     """An identification as a result; its record is that of `Identification.to_dict`."""
-    log, checked = found.log, found.validation
+    log, checked = identification.log, identification.validation
     simulated = f"{100 * checked.simulated:.1f} % simulated from the command"
     explained = f"{100 * checked.one_step:.1f} % of the yaw rate's variance is explained one step ahead"
+    logs = f"{len(identification.alone)} logs" if identification.alone else "a log"
     return Result(
         kind="identification",
-        title=f"A car from {f'{len(found.alone)} logs' if found.alone else 'a log'}: {found.believed.name}",
-        answer=f"{_first(found)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
-        record=found.to_dict(),
-        tables=_tables(found),
-        notes=[f"{capital(each)}." for each in (*log.notes, *found.findings)],
-        pictures=[_measured_and_simulated(found), _residuals(found), _excited(found)],
-        failed=not (found.consistent and checked.simulated > 0.5),
-        headline="" if found.consistent else "Not consistent",
+        title=f"A car from {logs}: {identification.believed.name}",
+        answer=f"{_first(identification)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
+        record=identification.to_dict(),
+        tables=_tables(identification),
+        notes=[f"{capital(sentence)}." for sentence in (*log.notes, *identification.findings)],
+        pictures=[_measured_and_simulated(identification), _residuals(identification), _excited(identification)],
+        failed=not (identification.consistent and checked.simulated > 0.5),
+        headline="" if identification.consistent else "Not consistent",
         values={
-            "checked": checked, "log": log, "believed": found.believed, "rate": 1.0 / log.period,
-            "findings": [f"{capital(each)}." for each in found.findings],
-            "reasons": [f"{capital(each)}." for each in found.reasons],
-            "first": [_in_units(found[name]) for name in _FIRST if name in found.estimates],
+            "checked": checked, "log": log, "believed": identification.believed, "rate": 1.0 / log.period,
+            "findings": [f"{capital(finding)}." for finding in identification.findings],
+            "reasons": [f"{capital(reason)}." for reason in identification.reasons],
+            "first": [_convert_units(identification[name]) for name in _FIRST if name in identification.estimates],
         },
         command=command,
     )  # fmt: skip
 
 
-def _first(found: Identification) -> str:
+def _first(identification: Identification) -> str:
     """Return the most important estimates as a headline."""
-    shown = [_in_units(found[name]) for name in _FIRST[:2] if name in found.estimates]
-    said = [f"{each['label'].lower()} {each['value']:.3g} ± {each['half']:.2g} {each['unit']}" for each in shown]
-    return capital(", ".join(said)) if said else "Nothing was found of delay and understeer"
+    rows = [_convert_units(identification[name]) for name in _FIRST[:2] if name in identification.estimates]
+    words = [f"{row['label'].lower()} {row['value']:.3g} ± {row['half']:.2g} {row['unit']}" for row in rows]
+    return capital(", ".join(words)) if words else "Nothing was found of delay and understeer"
 
 
-def write_identification_page(found: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
+def write_identification_page(identification: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
     """Write the page as one file; its path.
 
     Raises
@@ -104,36 +105,39 @@ def write_identification_page(found: Identification, path: str | os.PathLike[str
     """
     from adaptrack.results.page import render_result
 
-    write_atomically(path, render_result(identification_result(found, command)).encode())
+    write_atomically(path, render_result(identification_result(identification, command)).encode())
     return Path(path)
 
 
-def _in_units(each: Estimate) -> Row:
+def _convert_units(estimate: Estimate) -> Row:
     """An estimate in the units that a reader has."""
-    unit, factor = _UNITS.get(each.unit, (each.unit, 1.0))
+    unit, factor = _UNITS.get(estimate.unit, (estimate.unit, 1.0))
     return {
-        "label": capital(_NAMES.get(each.name, each.name.replace("_", " "))),
+        "label": capital(_NAMES.get(estimate.name, estimate.name.replace("_", " "))),
         "unit": unit,
-        "value": each.value * factor,
-        "interval": (each.low * factor, each.high * factor),
-        "half": 0.5 * (each.high - each.low) * factor,
-        "before": (each.before[0] * factor, each.before[1] * factor),
-        "says": "much" if each.spread_left < 0.2 else "some" if each.spread_left < 0.7 else "next to nothing",
-        "meaning": each.meaning,
+        "value": estimate.value * factor,
+        "interval": (estimate.low * factor, estimate.high * factor),
+        "half": 0.5 * (estimate.high - estimate.low) * factor,
+        "before": (estimate.before[0] * factor, estimate.before[1] * factor),
+        "says": "much" if estimate.spread_left < 0.2 else "some" if estimate.spread_left < 0.7 else "next to nothing",
+        "meaning": estimate.meaning,
     }
 
 
-def _tables(found: Identification) -> list[ResultTable]:
-    log = found.log
-    known = [each for each in found.estimates.values() if each.spread_left > 0.0]  # the others stay as believed
+def _tables(identification: Identification) -> list[ResultTable]:
+    log = identification.log
+    estimates = [
+        estimate for estimate in identification.estimates.values() if estimate.spread_left > 0.0
+    ]  # the others stay as believed
     plain = [
         {
-            "quantity": each.name.replace("_", " "), "value": each.value, "low": each.low, "high": each.high,
-            "unit": each.unit, "before": f"{each.before[0]:.3g} to {each.before[1]:.3g}",
+            "quantity": estimate.name.replace("_", " "), "value": estimate.value, "low": estimate.low,
+            "high": estimate.high, "unit": estimate.unit,
+            "before": f"{estimate.before[0]:.3g} to {estimate.before[1]:.3g}",
         }
-        for each in known
+        for estimate in estimates
     ]  # fmt: skip
-    rows = [_in_units(each) for each in known]
+    rows = [_convert_units(estimate) for estimate in estimates]
     title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
     return [
         ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
@@ -141,21 +145,24 @@ def _tables(found: Identification) -> list[ResultTable]:
             "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
             best=where(rows, ["value"], lambda row: True),
         ),
-        *_of_each_log(found),
+        *_log_tables(identification),
     ]  # fmt: skip
 
 
-def _of_each_log(found: Identification) -> list[ResultTable]:
+def _log_tables(identification: Identification) -> list[ResultTable]:
     """Table of the estimates from each single log."""
     rows: list[Row] = []
-    for name in found.estimates:
-        own = [each.estimates.get(name) for each in found.alone]
-        intervals = [(each.low, each.high) if each and 0.0 < each.spread_left < 1.0 else None for each in own]
+    for name in identification.estimates:
+        estimates = [log_identification.estimates.get(name) for log_identification in identification.alone]
+        intervals = [
+            (estimate.low, estimate.high) if estimate and 0.0 < estimate.spread_left < 1.0 else None
+            for estimate in estimates
+        ]
         if any(intervals):
             each_log = {f"log_{i + 1}": interval for i, interval in enumerate(intervals)}
-            rows.append({"quantity": name.replace("_", " "), "unit": found[name].unit} | each_log)
-    columns = [Column(f"log_{i + 1}", f"Log {i + 1}", show=3) for i in range(len(found.alone))]
-    if not found.alone:
+            rows.append({"quantity": name.replace("_", " "), "unit": identification[name].unit} | each_log)
+    columns = [Column(f"log_{i + 1}", f"Log {i + 1}", show=3) for i in range(len(identification.alone))]
+    if not identification.alone:
         return []
     title = "90 % intervals of each log by itself"
     return [
@@ -163,8 +170,8 @@ def _of_each_log(found: Identification) -> list[ResultTable]:
     ]  # fmt: skip
 
 
-def _measured_and_simulated(found: Identification) -> Picture:
-    series = found.series
+def _measured_and_simulated(identification: Identification) -> Picture:
+    series = identification.series
     part = turning_part(series.time, series.measured, _SECONDS)
 
     def draw(axes: Axes) -> None:
@@ -180,8 +187,8 @@ def _measured_and_simulated(found: Identification) -> Picture:
     return Picture("yaw_rate", caption, [panel], [("measured", _MEASURED), ("simulated", _SIMULATED)])
 
 
-def _residuals(found: Identification) -> Picture:
-    series, correlation = found.series, found.validation.autocorrelation
+def _residuals(identification: Identification) -> Picture:
+    series, correlation = identification.series, identification.validation.autocorrelation
     bound = 2.0 / math.sqrt(max(int(np.isfinite(series.innovations).sum()), 1))
 
     def draw_errors(axes: Axes) -> None:
@@ -208,8 +215,8 @@ def _draw_bounds(axes: Axes, bound: float) -> None:
         axes.axhline(level, linewidth=0.8, **_BOUND.look)
 
 
-def _excited(found: Identification) -> Picture:
-    log, angle = found.log, np.degrees(found.series.wheel_angle)
+def _excited(identification: Identification) -> Picture:
+    log, angle = identification.log, np.degrees(identification.series.wheel_angle)
     most = max(float(np.percentile(np.abs(angle), 99.5)), 0.1)
     counts, speeds, angles = np.histogram2d(log.speed, np.clip(angle, -most, most), bins=(24, 25))
     seconds = np.where(counts > 0.0, counts * log.period, np.nan)

@@ -68,12 +68,12 @@ def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = 
 
 def _table(rows: Sequence[dict[str, Any]]) -> ResultTable:
     """A line for each car, profile and controller: default tuning, and tuned."""
-    shown = ("clean", "highest_clean")
+    speeds = ("clean", "highest_clean")
     lines: dict[tuple[str, ...], dict[str, Any]] = {}
     for row in rows:
-        about = {key: row[key] for key in ("vehicle", "profile", "controller")}
-        line = lines.setdefault(tuple(about.values()), about | {f"tuned_{key}": None for key in shown})
-        line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in shown}
+        names = {key: row[key] for key in ("vehicle", "profile", "controller")}
+        line = lines.setdefault(tuple(names.values()), names | {f"tuned_{key}": None for key in speeds})
+        line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in speeds}
     table, best = list(lines.values()), set()
     for i, line in enumerate(table):
         rivals = [

@@ -119,17 +119,17 @@ def log_ticks(low: float, high: float) -> FixedLocator:
     return FixedLocator(ticks[(ticks >= 0.999 * low) & (ticks <= 1.001 * high)].tolist())
 
 
-def set_log_scale(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float] | None = None) -> None:
+def set_log_scale(axes: Axes, axis_name: Literal["x", "y"], limits: tuple[float, float] | None = None) -> None:
     """Make an axis logarithmic, with numbers that can be read also where it spans less than a decade.
 
     limits: its ends; those of its curves if None. Very small and very large numbers are written as powers of ten.
     """
     from matplotlib.ticker import FuncFormatter, NullLocator
 
-    axes.set(**{f"{which}scale": "log"})
-    axis = axes.xaxis if which == "x" else axes.yaxis
+    axes.set(**{f"{axis_name}scale": "log"})
+    axis = axes.xaxis if axis_name == "x" else axes.yaxis
     low, high = limits or axis.get_view_interval()
-    axes.set(**{f"{which}lim": (low, high)})
+    axes.set(**{f"{axis_name}lim": (low, high)})
     axis.set_major_locator(log_ticks(low, high))
     axis.set_minor_locator(NullLocator())
     if low >= 1e-4 and high < 1e6:
@@ -158,7 +158,7 @@ class ColourScale:
     high: float
     label: str = ""
     log: bool = False
-    whole: bool = False
+    integer: bool = False
     """Whether only whole numbers are written beside the bar."""
     reversed: bool = False
     """Whether low values are bright."""
@@ -233,7 +233,7 @@ def _add_bar(axes: Axes, scale: ColourScale) -> None:
         place: dict[str, Any] = {"cax": axes.inset_axes((1.03, 0.0, 0.035, 1.0))}
     else:
         place = {"ax": axes, "shrink": 0.9, "aspect": 30, "pad": 0.02}
-    linear = MaxNLocator(nbins=5, integer=scale.whole, steps=TICK_STEPS if scale.whole else [1, 2, 2.5, 5, 10])
+    linear = MaxNLocator(nbins=5, integer=scale.integer, steps=TICK_STEPS if scale.integer else [1, 2, 2.5, 5, 10])
     ticks = log_ticks(scale.low, scale.high) if scale.log else linear
     bar = figure.colorbar(ScalarMappable(**scale.look), ticks=ticks, extend=scale.beyond, label=scale.label, **place)
     bar.formatter = FuncFormatter(write_plainly)

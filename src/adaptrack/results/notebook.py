@@ -69,8 +69,8 @@ def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
 def run_html(run: Trajectory) -> str:
     """Name, measures and picture of a run, with nothing from outside."""
     title = f"{title_of(run.name_of('scenario'))}, {controller_name(run.name_of('controller'))}"
-    about = {"Duration": f"{number(run.duration)} s, {number(len(run))} control periods of {run.period:g} s"}
-    return html(title, about | _measures(compute_metrics(run)), run_figure(run), f"{title}: signals over time")
+    duration = {"Duration": f"{number(run.duration)} s, {number(len(run))} control periods of {run.period:g} s"}
+    return html(title, duration | _measures(compute_metrics(run)), run_figure(run), f"{title}: signals over time")
 
 
 def metrics_html(metrics: Metrics) -> str:
@@ -83,10 +83,10 @@ def metrics_html(metrics: Metrics) -> str:
 def vehicle_html(car: Vehicle) -> str:
     """A car's numbers with their units, and the car from above."""
     fields = type(car).model_fields
-    known = {name: getattr(car, name) for name in fields}
+    values = {name: getattr(car, name) for name in fields}
     rows = {
         name.replace("_", " "): f"{number(float(value), 4)} {(fields[name].description or '').partition(',')[0]}"
-        for name, value in known.items() if isinstance(value, float | int) and not isinstance(value, bool)
+        for name, value in values.items() if isinstance(value, float | int) and not isinstance(value, bool)
     }  # fmt: skip
     return html(f"{car.name}: {car.description}", rows, vehicle_figure(car), f"{car.name} from above")
 
@@ -115,16 +115,16 @@ def _draw_vehicle(axes: Axes, car: Vehicle) -> None:
 def schedule_figure(schedule: Schedule) -> Figure:
     """Each tuning entry over the first input, for three values of the second; the others in the middle of theirs."""
     low, high = schedule.domain.T
-    first, others = schedule.inputs[0], schedule.inputs[1:2]
-    levels = np.linspace(low[1], high[1], 3) if others else np.zeros(1)
+    first, second = schedule.inputs[0], schedule.inputs[1:2]
+    levels = np.linspace(low[1], high[1], 3) if second else np.zeros(1)
     x = np.linspace(low[0], high[0], 200)
     label, unit = INPUT_LABELS[first]
-    level_strokes = strokes(f"{INPUT_LABELS[name][0]} {number(float(level))}" for name in others for level in levels)
+    level_strokes = strokes(f"{INPUT_LABELS[name][0]} {number(float(level))}" for name in second for level in levels)
     tunings = []
     for level in levels:
         points = np.tile((low + high) / 2.0, (x.size, 1))
         points[:, 0] = x
-        if others:
+        if second:
             points[:, 1] = level
         tunings.append(schedule.batch(_variables(schedule, points)))
 
@@ -158,10 +158,9 @@ def schedule_html(schedule: Schedule) -> str:
     for name, (low, high) in zip(schedule.inputs, schedule.domain, strict=True):
         label, unit = INPUT_LABELS[name]
         rows[f"Input {label.lower()}"] = f"{number(float(low))} to {number(float(high))} {unit}"
-    rows |= {
-        f"Entry {name}": f"{number(float(each.low))} to {number(float(each.high))}, by {type(each.function).__name__}"
-        for name, each in schedule.tuning.items()
-    }
+    for name, entry in schedule.tuning.items():
+        bounds = f"{number(float(entry.low))} to {number(float(entry.high))}"
+        rows[f"Entry {name}"] = f"{bounds}, by {type(entry.function).__name__}"
     rows["Guard"] = "none" if schedule.guard is None else "yes"
     return html(schedule.name, rows, schedule_figure(schedule), f"The tuning of {schedule.name}")
 
@@ -206,5 +205,5 @@ def _measures(metrics: Metrics) -> dict[str, str]:
 
 def written(value: Any) -> str:
     """A number as readers write it, other values as they are."""
-    known = isinstance(value, float | int) and not isinstance(value, bool)
-    return number(value) if known or value is None else str(value)
+    is_number = isinstance(value, float | int) and not isinstance(value, bool)
+    return number(value) if is_number or value is None else str(value)

@@ -35,7 +35,7 @@ from adaptrack.results.words import (
     title_of,
 )
 
-PAGE = "index.html"
+PAGE_FILE = "index.html"
 """The name of the page in its folder."""
 
 
@@ -69,8 +69,8 @@ def write_result(
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
         files[picture.file] = draw.picture_png(picture) if png else b""
     page = render_result(result, png=png, embedded=embedded).encode()
-    _write_files(Path(out_dir), (files if png else {}) | {PAGE: page})
-    return Path(out_dir) / PAGE
+    _write_files(Path(out_dir), (files if png else {}) | {PAGE_FILE: page})
+    return Path(out_dir) / PAGE_FILE
 
 
 def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, Markup] | None = None) -> str:
@@ -82,7 +82,8 @@ def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, M
         result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
         created=clock(result.created), version=__version__, png=png, titles=[],
         policy=Markup(content_policy(scripts)),
-        pictures={each.name: each for each in result.pictures}, tables={each.name: each for each in result.tables},
+        pictures={picture.name: picture for picture in result.pictures},
+        tables={table.name: table for table in result.tables},
         **(embedded or {}),
     )  # fmt: skip
 
@@ -105,7 +106,7 @@ def _environment() -> jinja2.Environment:
 
     environment.filters |= {
         "inline": inline, "anchor": slug,
-        "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(stroke.colour),
+        "entry": entry, "words": _holds_words, "colour": lambda stroke: style.themed(stroke.colour),
         "dashes": _dashes,
         "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
         "title_of": title_of, "span": span, "few": few,
@@ -113,7 +114,7 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _in_words(table: ResultTable, column: Column) -> bool:
+def _holds_words(table: ResultTable, column: Column) -> bool:
     """Whether a column holds words: they stand to the left."""
     return any(isinstance(row[column.name], str) for row in table.rows) and not any(
         isinstance(row[column.name], int | float) for row in table.rows

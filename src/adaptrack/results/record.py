@@ -39,9 +39,9 @@ class DrawnCar:
     lr: float
     """m, centre of mass to rear axle"""
     track_front: float
-    """m"""
+    """m, between the front wheels"""
     track_rear: float
-    """m"""
+    """m, between the rear wheels"""
 
     def __post_init__(self) -> None:
         for name in ("lf", "lr", "track_front", "track_rear"):
@@ -54,8 +54,8 @@ class DrawnCar:
         return cls(car.outline, car.lf, car.lr, car.track_front, car.track_rear)
 
 
-PASSENGER_CAR = DrawnCar(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
-"""What is drawn where no car is given."""
+DEFAULT_DRAWN_CAR = DrawnCar(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
+"""The car that is drawn if none is specified."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,7 +71,7 @@ class DriveRecord:
     x: Array
     """m, of the centre of mass"""
     y: Array
-    """m, likewise"""
+    """m, of the centre of mass"""
     yaw: Array
     """rad; wrapped or not"""
     speed: Array
@@ -83,7 +83,7 @@ class DriveRecord:
     command: Array
     """rad, angle that the controller asks for"""
     planned_speed: Array
-    """m/s"""
+    """m/s, reference of the speed"""
     failed: str = ""
     """Why the drive failed, to complete "the vehicle ..."; empty for one that did not."""
     failed_at: float = math.nan
@@ -96,7 +96,7 @@ class DriveRecord:
         cls,
         run: Trajectory,
         road: Road,
-        car: Vehicle | DrawnCar = PASSENGER_CAR,
+        car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR,
         predicted: PredictedPaths | None = None,
     ) -> Self:
         """A recorded run beside its road, cut at the first instant that is not finite.
@@ -121,8 +121,8 @@ class DriveRecord:
             "time": run.t, "station": run.road["station"], "x": run.X, "y": run.Y, "yaw": run.psi, "speed": run.vx,
             "offset": run.road["offset"], "steering": run.steering, "command": run.command, "planned_speed": run.v_ref,
         }  # fmt: skip
-        whole = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
-        end = int(whole.argmin()) if not whole.all() else len(run)
+        finite = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
+        end = int(finite.argmin()) if not finite.all() else len(run)
         if end < 2:
             raise InvalidInput("a drive along a road must have at least two instants with finite numbers.")
         failed = find_failure(run)

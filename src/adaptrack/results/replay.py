@@ -26,13 +26,13 @@ from adaptrack.road import Road
 PERIOD = 0.05
 """s, between the samples of a replay, which joins them by straight lines; a record may be denser."""
 
-UNITS = {
+REPLAY_UNITS = {
     "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
     "command": 1e-4, "planned_speed": 1e-2,
 }  # fmt: skip
 """The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
 
-AHEAD = 1e-2
+PREDICTED_UNIT = 1e-2
 """m, to which predicted points are rounded."""
 
 SHADES = 9
@@ -75,12 +75,12 @@ def replay(drives: Drives) -> Markup:
 
 def replay_data(drives: Drives) -> dict[str, Any]:
     """Return the data of the replay: the road's edges, the colour scale, and each car with outline and columns."""
-    shown = list(drives.values())
+    records = list(drives.values())
     return {
-        "road": _road(shown[0].road, road_span(shown)),
-        "top": scale_of(shown),
+        "road": _road(records[0].road, road_span(records)),
+        "top": scale_of(records),
         "shades": _shades(),
-        "period": round(float(np.median(np.diff(shown[0].time[sampled(shown[0])]))), 6),
+        "period": round(float(np.median(np.diff(records[0].time[sampled(records[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
 
@@ -101,13 +101,13 @@ def packed(values: Array, unit: float) -> dict[str, Any]:
     InvalidInput
         When a difference does not fit.
     """
-    whole = np.rint(values / unit).astype(np.int64)
-    steps = np.diff(whole, prepend=whole[:1])
+    units = np.rint(values / unit).astype(np.int64)
+    steps = np.diff(units, prepend=units[:1])
     size = next((n for n in (1, 2, 4) if np.abs(steps).max() < 2 ** (8 * n - 1)), None)
     if size is None:
         raise InvalidInput(f"replay: a signal jumps by {np.abs(steps).max() * unit:.3g} from one sample to the next.")
     coded = base64.b64encode(steps.astype(f"<i{size}").tobytes()).decode()
-    return {"first": int(whole[0]), "unit": unit, "size": size, "bytes": coded}
+    return {"first": int(units[0]), "unit": unit, "size": size, "bytes": coded}
 
 
 def sampled(drive: DriveRecord) -> np.ndarray:
@@ -136,7 +136,7 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
 
 def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep = sampled(drive)
-    columns = {name: getattr(drive, name)[keep] for name in UNITS}
+    columns = {name: getattr(drive, name)[keep] for name in REPLAY_UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
     shape = drive.shape
     return {
@@ -146,23 +146,26 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
             "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
-        "columns": {name: packed(values, UNITS[name]) for name, values in columns.items()},
+        "columns": {name: packed(values, REPLAY_UNITS[name]) for name, values in columns.items()},
         "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
     }  # fmt: skip
 
 
 def _predicted(paths: PredictedPaths, drive: DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
     """Predicted paths in the car's axes, from the last sample at or before each: their numbers change slowly then."""
-    whole = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
+    usable = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
     at, rows = np.unique(
-        np.searchsorted(drive.time[keep], paths.time[whole] + 1e-9, side="right") - 1, return_index=True
+        np.searchsorted(drive.time[keep], paths.time[usable] + 1e-9, side="right") - 1, return_index=True
     )  # fmt: skip
     if not at.size or at[0] < 0:
         return None
-    now = keep[at]
-    gap = paths.points[whole][rows] - np.stack([drive.x[now], drive.y[now]], axis=-1)[:, None]
-    c, s = np.cos(drive.yaw[now])[:, None], np.sin(drive.yaw[now])[:, None]
+    instants = keep[at]
+    gap = paths.points[usable][rows] - np.stack([drive.x[instants], drive.y[instants]], axis=-1)[:, None]
+    c, s = np.cos(drive.yaw[instants])[:, None], np.sin(drive.yaw[instants])[:, None]
     ahead, left = c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
-    points = [{"ahead": packed(a, AHEAD), "left": packed(b, AHEAD)} for a, b in zip(ahead.T, left.T, strict=True)]
+    points = [
+        {"ahead": packed(a, PREDICTED_UNIT), "left": packed(b, PREDICTED_UNIT)}
+        for a, b in zip(ahead.T, left.T, strict=True)
+    ]
     every = int(np.median(np.diff(at))) if at.size > 1 else 1
     return {"at": packed(at, 1), "every": every, "points": points}

@@ -32,33 +32,35 @@ if TYPE_CHECKING:
 LINE_POINTS = 4000
 """Points of the drawn line."""
 
-SUMMARY = (Column("what", "what"), Column("value", "value"))
-LIMITS = (
+SUMMARY_COLUMNS = (Column("what", "what"), Column("value", "value"))
+LIMIT_COLUMNS = (
     Column("limit", "limit"), Column("share", "of the road", "%"), Column("from", "longest from", "m"),
     Column("to", "to", "m"),
 )  # fmt: skip
-PLACES = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
+PLACE_COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 
 
 def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Result:
     """Return a road, its planned speed and the parts that cannot be driven as a result."""
-    barred = [each for each in findings if not each.drivable]
+    barred = [finding for finding in findings if not finding.drivable]
     summary = _summary(road, plan)
-    about = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
-    tables = [ResultTable("summary", road.name, SUMMARY, about, brief=True)]
-    tables.append(ResultTable("limits", "What bounds the speed", LIMITS, _longest(plan), brief=True))
+    summary_rows = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
+    tables = [ResultTable("summary", road.name, SUMMARY_COLUMNS, summary_rows, brief=True)]
+    tables.append(ResultTable("limits", "What bounds the speed", LIMIT_COLUMNS, _longest(plan), brief=True))
     for name, title, drivable in (("barred", "What cannot be driven", False), ("notes", "Notes", True)):
         places = [
-            {"from": each.start, "to": each.end, "what": each.text} for each in findings if each.drivable is drivable
+            {"from": finding.start, "to": finding.end, "what": finding.text}
+            for finding in findings
+            if finding.drivable is drivable
         ]
-        tables += [ResultTable(name, title, PLACES, places, brief=True)]
+        tables += [ResultTable(name, title, PLACE_COLUMNS, places, brief=True)]
     return Result(
         kind="road",
         title=road.name,
         answer=road_answer(summary, len(barred)),
         record={
             **summary, "drivable": not barred, "notes": list(road.notes), "limits": limits_record(plan),
-            "rows": [asdict(each) for each in findings],
+            "rows": [asdict(finding) for finding in findings],
         },
         tables=tables,
         notes=road.notes,
@@ -71,7 +73,9 @@ def limits_record(plan: SpeedPlan) -> dict[str, Any]:
     """Return the shares and stretches of the bounds of a planned speed, from start to end; for JSON."""
     return {
         "shares": {limit.value: share for limit, share in plan.shares.items()},
-        "stretches": [{"limit": each.limit.value, "start": each.start, "end": each.end} for each in plan.stretches],
+        "stretches": [
+            {"limit": stretch.limit.value, "start": stretch.start, "end": stretch.end} for stretch in plan.stretches
+        ],
     }
 
 
@@ -79,15 +83,16 @@ def _longest(plan: SpeedPlan) -> list[dict[str, Any]]:
     """The share of each limit, and its longest stretch."""
     rows = []
     for limit, share in plan.shares.items():
-        longest = max((each for each in plan.stretches if each.limit == limit), key=lambda each: each.end - each.start)
+        stretches = [stretch for stretch in plan.stretches if stretch.limit == limit]
+        longest = max(stretches, key=lambda stretch: stretch.end - stretch.start)
         rows.append({"limit": limit.value, "share": round(100.0 * share, 1), "from": longest.start, "to": longest.end})
     return rows
 
 
 def limits_in_words(plan: SpeedPlan) -> str:
     """Which limits bind on which share of the road; empty where the speed was not planned."""
-    named = ", ".join(f"{limit} {100 * share:.0f} %" for limit, share in plan.shares.items() if share >= 0.005)
-    return f"Speed limited by: {named} of the road." if named else ""
+    limits = ", ".join(f"{limit} {100 * share:.0f} %" for limit, share in plan.shares.items() if share >= 0.005)
+    return f"Speed limited by: {limits} of the road." if limits else ""
 
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:

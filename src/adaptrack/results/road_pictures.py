@@ -83,10 +83,10 @@ def above_picture(drives: Drives) -> Picture:
     InvalidInput
         As `check_one_road`.
     """
-    shown, alone = list(drives.values()), len(drives) == 1
-    check_one_road(shown)
-    ends, high = road_span(shown), scale_of(shown)
-    beyond = max(drive.max_offset for drive in shown) > high
+    records, alone = list(drives.values()), len(drives) == 1
+    check_one_road(records)
+    ends, high = road_span(records), scale_of(records)
+    beyond = max(drive.max_offset for drive in records) > high
     scale = ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
     panels = [
         Panel(
@@ -103,8 +103,8 @@ def above_picture(drives: Drives) -> Picture:
     columns = 1 if alone else 2
     return Picture(
         "above", caption, panels, file="above.png", columns=columns,
-        row_height=_row_height(shown, IN_PRINT[0] / columns, IN_PRINT[1]),
-        size=(width, _row_height(shown, width, tallest)),
+        row_height=_row_height(records, IN_PRINT[0] / columns, IN_PRINT[1]),
+        size=(width, _row_height(records, width, tallest)),
     )  # fmt: skip
 
 

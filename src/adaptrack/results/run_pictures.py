@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
 """Label -> run, in the order of the legend."""
-Value = Callable[[Trajectory], Array]
+Signal = Callable[[Trajectory], Array]
 """A function that returns a signal of a run."""
 
 _WHEELS = ("front left", "front right", "rear left", "rear right")
@@ -102,7 +102,7 @@ def _last_drawn(run: Trajectory, failed: int) -> float:
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
-def _panel(title: str, label: str, lines: Lines, value: Value, draw: Callable[[Axes], None]) -> Panel:
+def _panel(title: str, label: str, lines: Lines, value: Signal, draw: Callable[[Axes], None]) -> Panel:
     """A panel over time or station; value: the quantity whose ranges stand in the alternative text."""
     along = any(line.run.road for line in lines)
 
@@ -177,7 +177,7 @@ def error_panel(lines: Lines) -> Panel:
 
 
 def _signal(
-    title: str, label: str, lines: Lines, value: Value, draw_more: Callable[[Axes], None] | None = None,
+    title: str, label: str, lines: Lines, value: Signal, draw_more: Callable[[Axes], None] | None = None,
     remark: str = "",
 ) -> Panel:  # fmt: skip
     """One curve per run around a zero line; draw_more: what to draw under the curves."""
@@ -203,8 +203,8 @@ def _steering(lines: Lines) -> Panel:
             command = lines[0].run.command
             _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
         for line in holding:
-            held = line.run.held
-            draw_dots(axes, line.x[held], line.run.steering[held], line.stroke.colour, "square", 3.0)
+            is_held = line.run.held
+            draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
 
     remark = "□ held" if holding else ""
     signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, draw_command, remark)
@@ -292,7 +292,7 @@ def _weights(lines: Lines) -> Panel:
     return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuned("Q", "R"), draw)
 
 
-def tuned(*names: str) -> Value:
+def tuned(*names: str) -> Signal:
     """A function that returns tuning entries of a run, (n,) or (names, n); NaN where its controller has none."""
 
     def values(run: Trajectory) -> Array:
@@ -335,7 +335,7 @@ def _draw_tuning(axes: Axes, lines: Lines, name: str, dash: Dash = "solid") -> N
             _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
 
 
-def _frame_curves(axes: Axes, lines: Lines, value: Value, limits: tuple[float, float] | None, remark: str) -> None:
+def _frame_curves(axes: Axes, lines: Lines, value: Signal, limits: tuple[float, float] | None, remark: str) -> None:
     """Set the limits of the y axis and draw crosses and remark."""
     if limits:
         axes.set_ylim(limits)
@@ -343,7 +343,7 @@ def _frame_curves(axes: Axes, lines: Lines, value: Value, limits: tuple[float, f
     write_remark(axes, remark)
 
 
-def _draw_crosses(axes: Axes, lines: Lines, value: Value) -> None:
+def _draw_crosses(axes: Axes, lines: Lines, value: Signal) -> None:
     """Draw a cross where a failed run ends, at the edge of the frame if it left the frame."""
     for line in lines:
         values = value(line.run)
@@ -374,7 +374,7 @@ def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
     return list(enumerate(_WHEELS))
 
 
-def _frame(lines: Lines, value: Value) -> tuple[tuple[float, float] | None, str]:
+def _frame(lines: Lines, value: Signal) -> tuple[tuple[float, float] | None, str]:
     """The limits of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
 
     A start from standstill may need wild steering for a second or two. Where that would flatten all the rest, it

@@ -32,18 +32,18 @@ from adaptrack.results.words import capital, listed, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NAMES = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
-SENTENCES = NAMES | {"learned": "learned model", "held": "held yaw rate"}
-STROKES = strokes(PREDICTORS)
+PREDICTOR_LABELS = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
+PREDICTOR_NAMES = PREDICTOR_LABELS | {"learned": "learned model", "held": "held yaw rate"}
+PREDICTOR_STROKES = strokes(PREDICTORS)
 SHOWN_SECONDS = 15.0
 """s of the log that are drawn: those with the most turning."""
 BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
 BELIEF_LABELS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
-QUANTITIES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
+BELIEF_NAMES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
 """Of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
-PREDICTED = (
+PREDICTION_COLUMNS = (
     Column("name", "predicted by"),
     Column("soon", f"{SOON:g} s", "rad/s", 3),
     Column("later", f"{LATER:g} s", "rad/s", 3),
@@ -52,7 +52,7 @@ PREDICTED = (
     Column("fastest", "fastest", "rad/s", 3, f"{LATER:g} s ahead, in the third of the log with the fastest steering"),
     Column("y", "offset", "m", 3, f"from the path, {LATER:g} s ahead"),
 )
-BELIEVED = (
+BELIEF_COLUMNS = (
     Column("name", "believed"),
     Column("value", "value", show=3),
     Column("interval", "90 %", show=3),
@@ -61,68 +61,68 @@ BELIEVED = (
 )
 
 
-def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Result:
+def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Result:
     """Return the logs of shadow mode as a result."""
-    several = len(found.logs) > 1
+    several = len(shadow.logs) > 1
     return Result(
         kind="shadow",
-        title=f"In the shadow of a driver: {found.car.name}",
-        answer="\n".join(_answer(each, several) for each in found.logs),
-        record=_record(found),
-        tables=[table for each in found.logs for table in _tables(each, f", {each.source}" if several else "")],
-        notes=_notes(found),
-        pictures=[_predicted(found.logs), _believed(found.logs), *_commands(found.logs)],
-        failed=not found.believable,
-        headline="" if found.believable else "Not believable",
+        title=f"In the shadow of a driver: {shadow.car.name}",
+        answer="\n".join(_answer(log, several) for log in shadow.logs),
+        record=_record(shadow),
+        tables=[table for log in shadow.logs for table in _tables(log, f", {log.source}" if several else "")],
+        notes=_notes(shadow),
+        pictures=[_predicted(shadow.logs), _believed(shadow.logs), *_commands(shadow.logs)],
+        failed=not shadow.believable,
+        headline="" if shadow.believable else "Not believable",
         command=command,
         next_step=next_step,
     )
 
 
-def _answer(log: ShadowLog, named: bool) -> str:
+def _answer(log: ShadowLog, with_source: bool) -> str:
     """Whether the belief is to be believed, and which predictor is best."""
     why = "; ".join(log.doubts or log.bounds)
     delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
-    said = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
-    return f"{f'{log.source}: ' if named else ''}{said}\n{_winner(log)}"
+    belief = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
+    return f"{f'{log.source}: ' if with_source else ''}{belief}\n{_winner(log)}"
 
 
 def _winner(log: ShadowLog) -> str:
     """Who predicts the yaw rate best, and how the learned model compares."""
-    found = log.of("yaw_rate", LATER)
-    if not found:
+    predictions = log.of("yaw_rate", LATER)
+    if not predictions:
         return "It is too short to compare predictions."
-    ours = found["learned"]
-    best, *others = sorted(found.values(), key=lambda each: each.rms.value)
-    other = others[0] if best is ours else best
+    ours = predictions["learned"]
+    best, *rivals = sorted(predictions.values(), key=lambda prediction: prediction.rms.value)
+    other = rivals[0] if best is ours else best
     over = f"{number(other.ours.mean, 2)} [{number(other.ours.low, 2)}, {number(other.ours.high, 2)}]"
     error = f"{number(ours.rms.value)} rad/s [{number(ours.rms.low)}, {number(ours.rms.high)}]"
-    winner = SENTENCES[best.predictor]
+    winner = PREDICTOR_NAMES[best.predictor]
     sure = "" if other.ours.verdict != "level" else ", level with it"
     return (
         f"Yaw rate {LATER:g} s ahead: the {winner} predicts it best.\nThe learned model errs by {error} RMS,\n"
-        f"{over} times the {SENTENCES[other.predictor]}{sure}."
+        f"{over} times the {PREDICTOR_NAMES[other.predictor]}{sure}."
     )
 
 
-def _warned(each: Warned, log: ShadowLog) -> str:
+def _warning_text(warning: Warned, log: ShadowLog) -> str:
     """Return the warnings in words."""
-    if math.isnan(each.seconds):
-        return f"{each.what} (the whole log)"
-    return f"{each.what} ({each.seconds:.0f} of {log.time[-1]:.0f} s, from {each.first:.0f} s on)"
+    if math.isnan(warning.seconds):
+        return f"{warning.what} (the whole log)"
+    return f"{warning.what} ({warning.seconds:.0f} of {log.time[-1]:.0f} s, from {warning.first:.0f} s on)"
 
 
-def _notes(found: Shadow) -> list[str]:
+def _notes(shadow: Shadow) -> list[str]:
     """Return the notes for the reader."""
-    several = len(found.logs) > 1
+    several = len(shadow.logs) > 1
     notes = []
-    for log in found.logs:
-        warned = "; ".join(_warned(each, log) for each in log.warnings)
-        for each in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
-            notes += [f"{f'{log.source}: ' if several else ''}{each}."] if each else []
-    if found.spoiling:
+    for log in shadow.logs:
+        warned = "; ".join(_warning_text(warning, log) for warning in log.warnings)
+        for sentence in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
+            notes += [f"{f'{log.source}: ' if several else ''}{sentence}."] if sentence else []
+    if shadow.spoiling:
         notes.append(
-            f"Without {listed(found.spoiling)} less is amiss: they contradict the other signals, or are not those of "
+            f"Without {listed(shadow.spoiling)} less is amiss: they contradict the other signals, or are not those of "
             "the centre of gravity."
         )
     if several:
@@ -130,19 +130,20 @@ def _notes(found: Shadow) -> list[str]:
     return [*notes, "Nothing was steered: a command is one step from where the driver had brought the car."]
 
 
-def _record(found: Shadow) -> dict[str, Any]:
+def _record(shadow: Shadow) -> dict[str, Any]:
     logs = [
         {
             "log": log.source, "verdict": log.verdict, "doubts": list(log.doubts), "bounds": list(log.bounds),
             "notes": list(log.notes),
-            "warnings": [each._asdict() for each in log.warnings], "learned": log.learned.model_dump(),
+            "warnings": [warning._asdict() for warning in log.warnings], "learned": log.learned.model_dump(),
             "predictions": [
-                {**each._asdict(), "rms": each.rms._asdict(), "ours": each.ours._asdict()} for each in log.predictions
+                {**prediction._asdict(), "rms": prediction.rms._asdict(), "ours": prediction.ours._asdict()}
+                for prediction in log.predictions
             ],
         }
-        for log in found.logs
+        for log in shadow.logs
     ]  # fmt: skip
-    return {"vehicle": found.car.name, "period": found.period, "spoiling": list(found.spoiling), "logs": logs}
+    return {"vehicle": shadow.car.name, "period": shadow.period, "spoiling": list(shadow.spoiling), "logs": logs}
 
 
 def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
@@ -151,26 +152,26 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
     fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
     rows: list[dict[str, Any]] = [
         {
-            "name": NAMES[name], "soon": soon[name].rms.value, "later": each.rms.value, "interval": each.rms[1:],
-            "ours": None if name == "learned" else each.ours[1:], "fastest": fastest[name].rms.value,
-            "y": y[name].rms.value if y else None,
+            "name": PREDICTOR_LABELS[name], "soon": soon[name].rms.value, "later": prediction.rms.value,
+            "interval": prediction.rms[1:], "ours": None if name == "learned" else prediction.ours[1:],
+            "fastest": fastest[name].rms.value, "y": y[name].rms.value if y else None,
         }
-        for name, each in later.items()
+        for name, prediction in later.items()
     ]  # fmt: skip
     least = [
-        where(rows, [name], lambda row, name=name: row[name] == min(each[name] for each in rows))
+        where(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
         for name in ("soon", "later", "fastest", *(("y",) if y else ()))
     ]
     believed = [
-        {"name": name, "value": each.value, "interval": (each.low, each.high), "before": (old.low, old.high),
-         "unit": each.unit}
-        for name, each, old in zip(QUANTITIES, log.learned.intervals, log.before.intervals, strict=True)
+        {"name": name, "value": interval.value, "interval": (interval.low, interval.high),
+         "before": (old.low, old.high), "unit": interval.unit}
+        for name, interval, old in zip(BELIEF_NAMES, log.learned.intervals, log.before.intervals, strict=True)
     ]  # fmt: skip
     title = f"RMS errors of yaw rate{' and offset' if y else ''}{suffix}"
-    columns = PREDICTED if y else PREDICTED[:-1]
+    columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
     return [
         ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
-        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEVED, believed, brief=True),
+        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEF_COLUMNS, believed, brief=True),
     ]
 
 
@@ -183,7 +184,10 @@ def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) ->
 def _predicted(logs: Sequence[ShadowLog]) -> Picture:
     """Yaw rate as measured, and as predicted."""
     panels = [Panel(log.source, partial(_draw_predicted, log=log), _winner(log)) for log in logs]
-    key = [*((capital(SENTENCES[name]), STROKES[name]) for name in PREDICTORS), ("Measured", REFERENCE_STROKE)]
+    key = [
+        *((capital(PREDICTOR_NAMES[name]), PREDICTOR_STROKES[name]) for name in PREDICTORS),
+        ("Measured", REFERENCE_STROKE),
+    ]
     caption = (
         f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN_SECONDS:.0f} s with the "
         "most turning."
@@ -196,7 +200,7 @@ def _draw_predicted(axes: Axes, log: ShadowLog) -> None:
     for name in reversed(PREDICTORS):
         values = log.predicted[name, "yaw_rate", LATER][part]
         finite = np.isfinite(values)
-        axes.plot(log.time[part][finite], values[finite], **STROKES[name].look, linewidth=1.0)
+        axes.plot(log.time[part][finite], values[finite], **PREDICTOR_STROKES[name].look, linewidth=1.0)
     axes.plot(log.time[part], log.measured["yaw_rate"][part], **REFERENCE_STROKE.look, linewidth=1.0)
     axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
 
@@ -214,7 +218,7 @@ def _believed(logs: Sequence[ShadowLog]) -> Picture:
 
 
 def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str) -> None:
-    starts, stroke = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), STROKES["learned"]
+    starts, stroke = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), PREDICTOR_STROKES["learned"]
     for start in starts[1:-1]:
         axes.axvline(start, linewidth=0.8, **BACKGROUND_STROKE.look)
     for log, start in zip(logs, starts[:-1], strict=True):

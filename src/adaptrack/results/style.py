@@ -143,7 +143,7 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _save(figure: Figure, to: io.BytesIO | io.StringIO, **how: Any) -> None:
+def _save(figure: Figure, to: io.BytesIO | io.StringIO, **options: Any) -> None:
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             if type(axis.get_major_locator()) is AutoLocator:
@@ -153,7 +153,7 @@ def _save(figure: Figure, to: io.BytesIO | io.StringIO, **how: Any) -> None:
         if figure.get_layout_engine() is None:  # otherwise the ticks are not yet what they will be
             for axes in figure.axes:
                 _settle_titles(axes)
-        figure.savefig(to, **how)
+        figure.savefig(to, **options)
 
 
 def _settle_titles(axes: Axes) -> None:

@@ -44,9 +44,9 @@ def number(value: float | int | None, digits: int = 3) -> str:
 def entry(value: Any, column: Column) -> str:
     """A value of a table as a page has it."""
     if isinstance(value, tuple):
-        ends = [entry(each, column) for each in value]
+        ends = [entry(end, column) for end in value]
         if isinstance(column.show, int) and len(set(ends)) < len(set(value)):  # as many digits as tell them apart
-            ends = [number(each, column.show + 1) for each in value]
+            ends = [number(end, column.show + 1) for end in value]
         return " to ".join(ends)
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -102,8 +102,8 @@ def listed(words: Sequence[str]) -> str:
 
 def few(names: Iterable[str], noun: str, most: int = 3) -> str:
     """For a title: the names where they are few, else how many."""
-    known = list(names)
-    return listed(known) if 0 < len(known) <= most else counted(len(known), noun)
+    shown_names = list(names)
+    return listed(shown_names) if 0 < len(shown_names) <= most else counted(len(shown_names), noun)
 
 
 def counted(n: int, noun: str) -> str:
@@ -145,9 +145,9 @@ def title_of(name: str) -> str:
 
 def controller_name(name: str) -> str:
     """A controller's name as a label: as the paper writes it, where the paper has it."""
-    known = {"standard": "Standard MPC", "nn": "NN-MPC", "anfis": "ANFIS-MPC"}
+    paper_names = {"standard": "Standard MPC", "nn": "NN-MPC", "anfis": "ANFIS-MPC"}
     name = legible(name)
-    return known.get(name) or name[:1].upper() + name[1:] or "Controller"
+    return paper_names.get(name) or name[:1].upper() + name[1:] or "Controller"
 
 
 def clock(moment: str) -> str:
@@ -173,10 +173,10 @@ def describe(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, dict):
         name = str(value.get("name", value.get("kind", "")))
-        rest = {key: entry for key, entry in value.items() if key not in ("name", "kind") and entry is not None}
-        if name and (not rest or len(rest) > 6):
+        entries = {key: entry for key, entry in value.items() if key not in ("name", "kind") and entry is not None}
+        if name and (not entries or len(entries) > 6):
             return name
-        inside = ", ".join(f"{key} {describe(entry)}" for key, entry in rest.items())
+        inside = ", ".join(f"{key} {describe(entry)}" for key, entry in entries.items())
         return f"{name} ({inside})" if name else inside
     if isinstance(value, list):
         return ", ".join(describe(entry) for entry in value)
