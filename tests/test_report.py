@@ -324,15 +324,12 @@ def test_legends_cover_no_curve():
 @pytest.mark.drawn
 @pytest.mark.parametrize("height", [1e-7, 1.0, 3e8])
 def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
-    def draw(axes):
-        axes.plot([0.0, height])
-        axes.set_title("A title that is long enough to lie above the y axis")
-
-    figure = style.panel_figure(draw)
+    title = "A title that is long enough to lie above the y axis"
+    figure = draw.panel_figure(Panel(title, lambda axes: axes.plot([0.0, height]), ""))
     figure.dpi = 72  # that of an SVG, in which the places below are counted
     style.inline_svg(figure, "p1", "a line")
     (axes,) = figure.axes
-    title, factor = axes.get_title("left"), axes.yaxis.get_offset_text()
+    factor = axes.yaxis.get_offset_text()
     assert bool(factor.get_text()) == (height != 1.0)
     (drawn,) = figure.findobj(lambda each: isinstance(each, Text) and each.get_text() == title)
     assert not (factor.get_text() and drawn.get_window_extent().overlaps(factor.get_window_extent()))

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 
 THIN_MODULUS = 0.25
-"""-, of the modulus margin, below which it is called thin: textbooks ask for 0.5 and more."""
+"""-, modulus margin below which an answer calls it thin; textbooks ask for at least 0.5"""
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
 def length(metres: float) -> str:
-    """A length in the unit in which one says it, to two or three digits."""
+    """Write a length in mm, cm, m or km, to two or three digits."""
     if not math.isfinite(metres):
         return "unknown"
     if metres < 0.01:
@@ -32,7 +32,7 @@ def length(metres: float) -> str:
 
 # -- roads ------------------------------------------------------------------------------------------------------------
 def road_answer(summary: Mapping[str, Any], barred: int) -> str:
-    """Whether a road can be driven, how long it is, how fast; barred: places that cannot."""
+    """Drivability, length, bends and speeds of a road; barred: number of places that cannot be driven."""
     radius = summary["smallest_radius"]
     bends = "straight" if radius is None else f"tightest radius {length(radius)}"
     speeds = " to ".join(dict.fromkeys(f"{summary[end]:.3g}" for end in ("slowest", "fastest"))) + " m/s"
@@ -44,7 +44,7 @@ def road_answer(summary: Mapping[str, Any], barred: int) -> str:
 
 # -- certificates -----------------------------------------------------------------------------------------------------
 def certificate_answer(certificate: Certificate) -> str:
-    """The verdict; before it, where the loop is stable, whether its margins are thin, driving straight."""
+    """The verdict; for a stable loop preceded by its smallest margins when driving straight."""
     if not certificate.passed:
         return certificate.verdict
     (worst,), delay = certificate.worst_points(1), float(certificate.counted.straight.delay.min())

@@ -26,8 +26,7 @@ from adaptrack.base.result import (
 )
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.results.answers import certificate_answer
-from adaptrack.results.maps import edges_around
-from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon
+from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon, edges_around
 from adaptrack.results.words import INPUT_LABELS, number
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _WORST = 8
-"""Points of the page's table of the worst, for each way of driving."""
+"""Number of worst points in the page's table, for driving straight and for the hard turn."""
 _STROKES: dict[Driving, Stroke] = {"straight": Stroke(SERIES[0]), "turn": Stroke(SERIES[1], "long")}
 _NAMES: dict[Driving, str] = {"straight": "Driving straight", "turn": "In a hard turn"}
 _TITLES: dict[Driving, str] = {
@@ -121,7 +120,7 @@ def _sweeps(certificate: Certificate) -> list[tuple[str, Sweep]]:
 
 
 def with_ratio(points: Sequence[Row]) -> list[dict[str, Any]]:
-    """Points with R/Q, which alone acts on the control law; None where Q is 0."""
+    """Add R/Q to points, the only part of Q and R that acts on the control law; None if Q is 0."""
     return [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
 
 
@@ -269,7 +268,7 @@ def _tunings(certificate: Certificate) -> Picture:
 
 
 def _narrow_scale(scale: ColourScale, values: Array) -> ColourScale:
-    """Colours that tell these values apart: from their 2nd to their 98th percentile, within the scale's bounds."""
+    """Narrow a scale to the 2nd to 98th percentile of the values, within its bounds."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return scale

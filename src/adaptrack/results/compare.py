@@ -125,7 +125,7 @@ def headline(profile: str, rows: Sequence[Row]) -> str:
     return f"Profile {profile}: {best}; {number(failed)} of {number(runs)} runs failed."
 
 
-def colour_of(contender: str) -> str:
+def contender_colour(contender: str) -> str:
     """The colour of a controller in every picture of the page."""
     return _PAPERS_COLOUR if contender in _PAPERS else _OURS if about_controller(contender).ours else _OTHERS
 
@@ -248,7 +248,7 @@ def _left_out_table(compared: Compared) -> list[ResultTable]:
 def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
     """A dot and its interval for each contender, the best first."""
     dots = [
-        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], colour_of(row["contender"]),
+        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], contender_colour(row["contender"]),
             row["failures"] > 0)
         for row in rows
     ]  # fmt: skip
@@ -276,7 +276,7 @@ def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
 def _draw_work(axes: Axes, rows: Sequence[Row]) -> None:
     rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
     for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
-        colour, at_left = colour_of(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
+        colour, at_left = contender_colour(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
         draw_dots(axes, [rate], [error], colour)
         axes.annotate(
             data_text(row["contender"]), (rate, error), (rate / 1.06 if at_left else 1.06 * rate, height),
@@ -320,7 +320,7 @@ def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[s
 
     def draw(axes: Axes) -> None:
         for place, (contender, values) in enumerate(rows):
-            colour, mean = colour_of(table.role(contender).controller), float(values.mean())
+            colour, mean = contender_colour(table.role(contender).controller), float(values.mean())
             draw_dots(axes, values, np.full(len(values), place), colour, size=3.5, alpha=0.6)
             axes.plot([mean, mean], [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
         fastest = max(float(values.max()) for _, values in rows) or 1.0

@@ -18,7 +18,7 @@ _ADAPTIVE, _CONSTANT, _HINDSIGHT = SERIES[0], SERIES[1], MUTED
 
 
 def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Picture:
-    """Each contender's cost over the reference's, with its 95 % interval; called: a contender in tables."""
+    """Each contender's cost over the reference's, with its 95 % interval; called: names contenders as tables do."""
     dots = _dots(comparison, called)
     label = f"Cost / {called(comparison.reference)}"
     panel, size = dots_panel(dots, data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
@@ -38,7 +38,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _dots(comparison: Comparison, called: Callable[[str], str]) -> list[Dot]:
-    """The cheapest first; the reference only where it is alone."""
+    """A dot for each contender, the cheapest first; the reference only if there is no other."""
     rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
     return [
         Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],

@@ -26,8 +26,15 @@ from adaptrack.base.result import (
 from adaptrack.paper.campaign_config import STANDARD
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe
-from adaptrack.results.maps import edges_around
-from adaptrack.results.marks import ColourScale, draw_bars, draw_heat_map, draw_ribbon, include_y, set_log_scale
+from adaptrack.results.marks import (
+    ColourScale,
+    draw_bars,
+    draw_heat_map,
+    draw_ribbon,
+    edges_around,
+    include_y,
+    set_log_scale,
+)
 from adaptrack.results.notebook import html
 from adaptrack.results.words import number, span
 
@@ -40,7 +47,7 @@ Array = NDArray[np.float64]
 BINS = 12
 """Bins along an axis whose values are not levels."""
 MAX_LEVELS = 15
-"""Up to this many distinct values are levels, each with a bin of its own."""
+"""Largest number of distinct values that each get a bin."""
 BARS = 28
 
 QUANTILE_COLUMNS = (
@@ -66,7 +73,7 @@ FLATNESS_COLUMNS = (
 
 @dataclass(frozen=True)
 class TuningTarget:
-    """A part of the best tuning, as pictures show it."""
+    """A number of the best tuning, with its values for a picture."""
 
     label: str
     values: Array
@@ -93,7 +100,7 @@ def dataset_result(dataset: DataSet) -> Result:
 
 
 def _pictures(dataset: DataSet) -> list[Picture]:
-    """Gain, optimum and its spread; none where every run failed."""
+    """Pictures of gain, optimum and spread; none if every run failed."""
     rows = _searched(dataset)
     if rows is None:
         return []
@@ -185,7 +192,7 @@ def targets(rows: DataSet) -> list[TuningTarget]:
 
 
 def histogram(target: TuningTarget) -> Panel:
-    """How often each value of a target is the best."""
+    """A histogram of the best values of a target."""
     values = np.append(target.values, target.standard)
     low, high = float(values.min()), float(values.max())
     if target.integer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -14,11 +15,19 @@ from adaptrack.results.words import lettered, plain
 
 def panel_figure(panel: Panel, size: tuple[float, float] | None = None) -> Figure:
     """Draw one panel for the page; all panels without a size (inch) have their axes at the same place."""
-    if size is None:
-        return style.panel_figure(lambda axes: _show(axes, panel, panel.title))
-    with style.styled():
-        figure = style.ShownFigure(figsize=size)
-        _show(figure.subplots(), panel, panel.title)
+    if size is not None:
+        with style.styled():
+            figure = style.ShownFigure(figsize=size)
+            _show(figure.subplots(), panel, panel.title)
+        return figure
+    width, height = style.PANEL_SIZE
+    left, right, bottom, top = 0.74, 0.1, 0.45, 0.28  # inch
+    box = {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
+    with style.styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
+        figure = style.ShownFigure(figsize=style.PANEL_SIZE)
+        axes = figure.subplots(gridspec_kw=box)
+        _show(axes, panel, panel.title)
+        axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
     return figure
 
 

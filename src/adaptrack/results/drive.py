@@ -31,9 +31,9 @@ from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, o
 from adaptrack.results.road_pictures import above_picture
 from adaptrack.results.run_pictures import (
     CREEPING,
-    as_lines,
     conditions_picture,
     error_panel,
+    prepare_runs,
     speed_picture,
     tracking_picture,
 )
@@ -70,15 +70,15 @@ class Run:
 
     trajectory: Trajectory
     label: str = ""
-    """Its name in legends and tables; the controller's name when left out."""
+    """Name in legends and tables; the controller's name if empty."""
     metrics: Metrics | None = None
-    """Its measures; computed when left out."""
+    """Measures of the run; computed if None."""
     road: Road | None = None
-    """The road that it was driven on: the page then has the road from above and a replay."""
+    """The road of the drive: the page then has the road from above and a replay."""
     car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR
     """The car that is drawn on the road."""
     predicted: PredictedPaths | None = None
-    """The paths that `simulate` kept: the replay draws them."""
+    """The paths that `simulate` recorded, for the replay."""
 
 
 def drive_result(
@@ -193,7 +193,7 @@ def _prepare_run(label: str, run: Run) -> Shown:
 
 # -- headlines --------------------------------------------------------------------------------------------------------
 def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
-    """Scenarios and controllers, as long as there are few of them."""
+    """The names of scenarios and controllers, or their number if there are many."""
     labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
     return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
 
@@ -214,7 +214,7 @@ def _answer(runs: Sequence[Shown]) -> str:
 
 
 def _failure(run: Shown) -> dict[str, str]:
-    """A failed run: its name, when and why."""
+    """Name, time and reason of a failed run."""
     where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
     name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
@@ -239,7 +239,7 @@ def _pictures(
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
     drives = _drives([run for group in scenarios.values() for run in group])
     first = next(iter(groups.values()))
-    error = replace(error_panel(as_lines(first, line_styles)), title="")
+    error = replace(error_panel(prepare_runs(first, line_styles)), title="")
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):

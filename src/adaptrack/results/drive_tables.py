@@ -26,7 +26,7 @@ class Shown:
     trajectory: Trajectory
     metrics: Metrics
     drive: DriveRecord | None = None
-    """beside its road, for the road from above and the replay"""
+    """the run along its road, for the road from above and the replay"""
 
 
 _CONTROLLER = Column("label", "Controller")
@@ -80,7 +80,7 @@ OPTIONAL_COLUMNS = (
     "paper", "ratio", "p95_error", "max_corner_error", "in_lane", "reversals", "jerk_r79", "dead_reckoning",
     "dead_reckoning_max", "prediction_error_half", "prediction_error_one",
 )  # fmt: skip
-"""Columns that are left out where no run has a value."""
+"""Columns that are omitted if no run has a value."""
 BELIEF_STATE_COLUMNS = (
     _CONTROLLER,
     Column("belief_learning", "Learning", "%", "percent"),
@@ -102,7 +102,7 @@ _TROUBLES = ("qp_capped", "qp_failed", "held")
 """Counts that should be zero."""
 
 
-def rows_of(runs: Sequence[Shown]) -> list[dict[str, Any]]:
+def run_rows(runs: Sequence[Shown]) -> list[dict[str, Any]]:
     """A row for each run of a scenario: its measures, its tuning and the paper's error."""
     errors = [run.metrics.mse for run in runs if not run.metrics.failed]
     smallest = min(errors) if errors and len(runs) > 1 else None
@@ -125,7 +125,7 @@ def _row(run: Shown) -> dict[str, Any]:
 def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
     """Tracking, effort, solver and belief of the runs of one scenario or road; the tables are named after it."""
     entries = _entries(runs)
-    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in rows_of(runs)]
+    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in run_rows(runs)]
     bold = where(rows, ["mse", "rms_error"], lambda row: row["best"])
     failed = where(rows, ["outcome"], lambda row: row["failed"])
     tracking = [_CONTROLLER, *_with_values(TRACKING_COLUMNS, rows)]
@@ -164,7 +164,7 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
     columns, best, failed = [_CONTROLLER], set(), set()
     for name, runs in scenarios.items():
         mse, paper = f"mse {name}", f"paper {name}"
-        measured = {row["label"]: row for row in rows_of(runs)}
+        measured = {row["label"]: row for row in run_rows(runs)}
         columns.append(Column(mse, title_of(name), "MSE, m²", 3))
         if any(row["paper"] is not None for row in measured.values()):
             columns.append(Column(paper, "Paper", "m²", "given"))
@@ -194,13 +194,13 @@ def _entries(runs: Iterable[Shown]) -> dict[str, str]:
 
 
 def _driven_values(run: Trajectory, name: str) -> NDArray[Any]:
-    """A tuning entry of the run, as long as it was driven."""
+    """The finite values of a tuning entry while the controller acted."""
     values = np.asarray(run.tuning.get(name, np.full(len(run), np.nan)), dtype=float)[np.isfinite(run.command)]
     return values[np.isfinite(values)]
 
 
 def _range(values: NDArray[Any]) -> float | tuple[float, float] | None:
-    """One value where it stayed, the range where it was adapted; whole numbers as such."""
+    """The value of a constant entry or the range of an adapted one; whole numbers as int."""
     if not values.size:
         return None
     low, high = (int(end) if end.is_integer() else end for end in (float(values.min()), float(values.max())))

@@ -50,7 +50,7 @@ CEILING = 10.0
 CELL_POINTS, MIN_CELLS, MAX_CELLS = 6, 4, 12
 """Operating points that a cell of a map holds on average, and the number of cells along an axis."""
 SURFACE_NODES = (64, 44)
-"""Of a learned surface, along its axes."""
+"""Number of nodes of a learned surface along its two axes."""
 OUTPUT_LABELS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 
 
@@ -70,9 +70,11 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
         answer=headline(comparison, NOUNS[view]),
         record={"rows": view_rows(views)},
         tables=[_table(name, comparisons) for name, comparisons in views.items() if comparisons],
-        pictures=[ratios_picture(comparison, label_of), *maps, *([surfaces_picture(learned)] if learned else [])],
+        pictures=[
+            ratios_picture(comparison, contender_label), *maps, *([surfaces_picture(learned)] if learned else [])
+        ],
         values={
-            "runs": counted(_runs(comparison), NOUNS[view]), "reference": label_of(comparison.reference),
+            "runs": counted(_runs(comparison), NOUNS[view]), "reference": contender_label(comparison.reference),
             "views": [name for name in views if views[name]], "failed_cost": f"{comparison.failure.distance**2:g}",
         },
         command=command,
@@ -85,12 +87,12 @@ def headline(comparison: Comparison, noun: str) -> str:
     best = min(comparison.adaptive, key=lambda name: comparison.mean_ratio(name, BEST_CONSTANT), default=BEST_CONSTANT)
     ratio = comparison.ratio(best, BEST_CONSTANT)
     return (
-        f"{label_of(best)}: {number(ratio.mean)} times the cost of the best constant on {runs} "
+        f"{contender_label(best)}: {number(ratio.mean)} times the cost of the best constant on {runs} "
         f"(95 % interval {number(ratio.low)} to {number(ratio.high)})."
     )
 
 
-def label_of(contender: str) -> str:
+def contender_label(contender: str) -> str:
     """The label of a contender in tables and pictures."""
     return CONTENDER_LABELS.get(contender, contender)
 
@@ -127,7 +129,7 @@ def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
     several = "group" if len(comparisons) > 1 else ""
     first = next(iter(comparisons.values()))
     runs = "the paper's two" if view == "tests" else counted(_runs(first), NOUNS[view])
-    title = f"{title_of(view)}: {runs}, regret to {label_of(first.reference).lower()}"
+    title = f"{title_of(view)}: {runs}, regret to {contender_label(first.reference).lower()}"
     failed = where(rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(view, title, columns, rows, "", several, frozenset(best), failed, brief=True)
 
@@ -137,7 +139,7 @@ def _row(comparison: Comparison, row: Row, group: str) -> dict[str, Any]:
     single = contender == comparison.reference or row["runs"] == 1
     interval = None if single else (row["regret_low"], row["regret_high"])
     return {
-        **row, "label": label_of(contender), "group": title_of(group), "interval": interval,
+        **row, "label": contender_label(contender), "group": title_of(group), "interval": interval,
         "hindsight": comparison.role(contender).hindsight, "fallback": row.get("fallback"),
     }  # fmt: skip
 
@@ -166,7 +168,8 @@ def regret_maps(comparison: Comparison) -> Picture:
     scale = ColourScale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
     panels = [
         Panel(
-            data_text(label_of(name)), partial(_draw_map, cells=cells, label=quantities[quantity][1], scale=scale),
+            data_text(contender_label(name)),
+            partial(_draw_map, cells=cells, label=quantities[quantity][1], scale=scale),
             f"Geometric mean regret over speed and {quantity}: {span(cells[2])}.",
         )
         for (name, quantity), cells in maps.items()
@@ -188,7 +191,7 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
             label, input_unit = INPUT_LABELS[schedule.inputs[1]]
             cells = schedule.domain[0], schedule.domain[1], surfaces[name][..., k]
             panels.append(Panel(
-                f"{data_text(label_of(name))}: {symbol} ({unit})",
+                f"{data_text(contender_label(name))}: {symbol} ({unit})",
                 partial(_draw_map, cells=cells, label=f"{label} ({input_unit})", scale=scale, image=True),
                 f"{plain(symbol)} over speed and {label.lower()}: {span(cells[2])}.",
             ))  # fmt: skip
@@ -209,7 +212,7 @@ def _draw_map(
 
 
 def shared_scale(values: Sequence[Array], integer: bool) -> ColourScale:
-    """From the lowest to the highest of all values; half a unit on either side where they are one number."""
+    """A scale from the lowest to the highest value, with half a unit on either side if all are equal."""
     everything = np.concatenate([part.ravel() for part in values])
     low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
     margin = 0.0 if high > low else 0.5

@@ -1,4 +1,4 @@
-"""The result of an identification: how well the car is known, measured against simulated, what was excited."""
+"""The result of an identification: estimates, residuals, and the excitation of the log."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _MEASURED, _SIMULATED, _BOUND = Stroke(SERIES[0]), Stroke(SERIES[1]), Stroke(MUTED, "dashed")
 _SECONDS = 30.0
-"""s of the log that the first picture shows: those with the most turning."""
+"""s, length of the part of the log in the first picture"""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
           "kg m^2": ("kg m²", 1.0), "m/s^2": ("m/s²", 1.0), "-": ("", 1.0)}  # fmt: skip
 _NAMES = {
@@ -57,7 +57,7 @@ QUANTITY_COLUMNS = (
     Column("value", "Value", show=3),
     Column("interval", "90 % interval", show=3),
     Column("before", "Believed before", show=3),
-    Column("says", "The log says"),
+    Column("says", "Information in the log"),
     Column("meaning", "Meaning"),
 )
 
@@ -96,7 +96,7 @@ def _first(identification: Identification) -> str:
 
 
 def write_identification_page(identification: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
-    """Write the page as one file; its path.
+    """Write the page as one file and return its path.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def write_identification_page(identification: Identification, path: str | os.Pat
 
 
 def _convert_units(estimate: Estimate) -> Row:
-    """An estimate in the units that a reader has."""
+    """Convert an estimate to the units of the page."""
     unit, factor = _UNITS.get(estimate.unit, (estimate.unit, 1.0))
     return {
         "label": capital(_NAMES.get(estimate.name, estimate.name.replace("_", " "))),
@@ -119,7 +119,7 @@ def _convert_units(estimate: Estimate) -> Row:
         "interval": (estimate.low * factor, estimate.high * factor),
         "half": 0.5 * (estimate.high - estimate.low) * factor,
         "before": (estimate.before[0] * factor, estimate.before[1] * factor),
-        "says": "much" if estimate.spread_left < 0.2 else "some" if estimate.spread_left < 0.7 else "next to nothing",
+        "says": "much" if estimate.spread_left < 0.2 else "some" if estimate.spread_left < 0.7 else "little",
         "meaning": estimate.meaning,
     }
 

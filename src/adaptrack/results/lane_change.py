@@ -40,7 +40,7 @@ ROAD_BEFORE, ROAD_BEHIND = 12.0, 14.0
 OUTLINE_DISTANCE = 6.0
 """m, between the outlines that are drawn."""
 _CORNERS = ((2, SERIES[2], 1.6), (3, SERIES[2], 1.6), (0, SERIES[0], 0.7), (1, SERIES[0], 0.7))
-"""Of the outline, with colour and width [pt]: the rear ones, then the front ones over them."""
+"""Corners of the outline with colour and width (pt): the rear ones, then the front ones over them."""
 
 
 def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = "", next_step: str = "") -> Result:
@@ -67,7 +67,7 @@ def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = 
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> ResultTable:
-    """A line for each car, profile and controller: default tuning, and tuned."""
+    """A row for each car, profile and controller, with default and tuned speeds."""
     speeds = ("clean", "highest_clean")
     lines: dict[tuple[str, ...], dict[str, Any]] = {}
     for row in rows:
@@ -96,7 +96,7 @@ def _fastest_runs(runs: Sequence[EntrySpeed]) -> list[EntrySpeed]:
 
 
 def lane_change_picture(runs: Sequence[EntrySpeed], file: str) -> Picture:
-    """A panel for each controller on one track: cones, lanes, the corners of all seeds, the outline now and then.
+    """A panel for each controller on one track: cones, lanes, paths of the corners for all seeds, some outlines.
 
     The speed shown is the highest up to which all drives are clean; where none is clean, the lowest of the grid.
     """

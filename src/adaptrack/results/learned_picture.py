@@ -12,7 +12,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import REFERENCE_STROKE, Panel, Picture, Stroke
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.marks import draw_ribbon
-from adaptrack.results.run_pictures import Array, DrawnRun, Runs, as_lines, thinned
+from adaptrack.results.run_pictures import Array, DrawnRun, Runs, prepare_runs, thin_curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +67,7 @@ def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None,
     InvalidInput
         When no controller has learned.
     """
-    lines = as_lines(runs, line_styles)
+    lines = prepare_runs(runs, line_styles)
     learned = {line.label: learned_quantities(line.run) for line in lines}
     learners = [line for line in lines if learned[line.label]]
     if not learners:
@@ -84,7 +84,7 @@ def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None,
 
 def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:
     for line, learnt in curves:
-        keep = thinned(learnt.mean)
+        keep = thin_curve(learnt.mean)
         time = line.run.t[keep]
         draw_ribbon(axes, time, learnt.low[keep], learnt.high[keep], line.stroke.colour)
         axes.plot(time, learnt.mean[keep], **line.stroke.look)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
     from matplotlib.ticker import FixedLocator
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
 TICK_STEPS = (1, 2, 5, 10)
 """Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
@@ -182,6 +182,15 @@ def deviation_colours() -> Colormap:
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("deviation", ["#3b8fd0", "#8f9db0", "#e69f00", "#e2600c", "#c4231c"])
+
+
+def edges_around(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of the cells around levels, in order; a level alone has a tenth of itself on either side."""
+    if len(levels) == 1:
+        return np.asarray(levels[0] + np.array([-1.0, 1.0]) * (0.1 * abs(float(levels[0])) or 0.5))
+    middles = (levels[1:] + levels[:-1]) / 2.0
+    first, last = np.diff(levels)[[0, -1]] / 2.0
+    return np.concatenate([[levels[0] - first], middles, [levels[-1] + last]])
 
 
 def draw_heat_map(

@@ -1,4 +1,4 @@
-"""What objects show of themselves in a notebook: their numbers in HTML, and a picture."""
+"""Objects in a notebook: their numbers in HTML, and a picture."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def run_html(run: Trajectory) -> str:
 
 
 def metrics_html(metrics: Metrics) -> str:
-    """The measures of a run that one looks at first, and all behind a fold."""
+    """The main measures of a run, and all measures behind a fold."""
     every = {name.replace("_", " "): written(value) for name, value in metrics.as_row().items()}
     title = f"Measures of {number(metrics.steps)} control periods"
     return html(title, _measures(metrics)) + f"<details><summary>All measures</summary>{html('', every)}</details>"
@@ -191,7 +191,7 @@ def html(title: str, rows: Mapping[str, str], figure: Figure | None = None, desc
 
 
 def _measures(metrics: Metrics) -> dict[str, str]:
-    """The measures that one looks at first."""
+    """The main measures of a run."""
     rows = {
         "RMS error": f"{number(metrics.rms_error)} m",
         "Largest |error|": f"{number(metrics.max_abs_error)} m",
@@ -204,6 +204,6 @@ def _measures(metrics: Metrics) -> dict[str, str]:
 
 
 def written(value: Any) -> str:
-    """A number as readers write it, other values as they are."""
+    """Write a number as readers do; other values unchanged."""
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return number(value) if is_number or value is None else str(value)

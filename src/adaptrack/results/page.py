@@ -115,14 +115,14 @@ def _environment() -> jinja2.Environment:
 
 
 def _holds_words(table: ResultTable, column: Column) -> bool:
-    """Whether a column holds words: they stand to the left."""
+    """Whether a column holds words, which are aligned to the left."""
     return any(isinstance(row[column.name], str) for row in table.rows) and not any(
         isinstance(row[column.name], int | float) for row in table.rows
     )
 
 
 def _printable(value: Any) -> Any:
-    """Names are data: what no page can hold is shown as an escape (the template escapes the rest)."""
+    """Replace characters of a name that no page can hold by escapes (the template escapes the rest)."""
     return printable(value, keep="\n\t") if type(value) is str else value
 
 

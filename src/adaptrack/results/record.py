@@ -1,4 +1,4 @@
-"""A run beside its road, as the road from above and the replay show it: pose, offset, steering, speed."""
+"""A run along its road for the road from above and the replay: pose, offset, steering, speed."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class DriveRecord:
     time: Array
     """s, growing"""
     station: Array
-    """m, arc length of the foot; over the laps of a closed road it goes on growing"""
+    """m, arc length of the foot; it keeps growing over the laps of a closed road"""
     x: Array
     """m, of the centre of mass"""
     y: Array
@@ -81,15 +81,15 @@ class DriveRecord:
     steering: Array
     """rad, angle of the front wheels"""
     command: Array
-    """rad, angle that the controller asks for"""
+    """rad, steering command of the controller"""
     planned_speed: Array
     """m/s, reference of the speed"""
     failed: str = ""
-    """Why the drive failed, to complete "the vehicle ..."; empty for one that did not."""
+    """Reason of the failure, to complete "the vehicle ..."; empty if the drive did not fail."""
     failed_at: float = math.nan
-    """s; NaN for a drive that did not."""
+    """s, time of the failure; NaN if the drive did not fail"""
     predicted: PredictedPaths | None = None
-    """the paths that the controller predicted; None where none were kept"""
+    """the paths that the controller predicted; None if they were not recorded"""
 
     @classmethod
     def from_trajectory(
@@ -99,7 +99,7 @@ class DriveRecord:
         car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR,
         predicted: PredictedPaths | None = None,
     ) -> Self:
-        """A recorded run beside its road, cut at the first instant that is not finite.
+        """A recorded run along its road, cut at the first instant that is not finite.
 
         Where the run knows its road (`Trajectory.road`) that is taken; otherwise its positions are
         projected onto the road, each from the foot of the one before it.

@@ -150,7 +150,7 @@ def _competes(run: Row) -> bool:
 
 
 def _error(run: Row) -> Any:
-    """The mean square error of a run, or that it failed, or how many of several runs failed."""
+    """The mean square error of a run, or the text "failed" with the number of failed runs."""
     if not run["failed"]:
         return run["mse"]
     return f"failed, {run['failed']} of {run['runs']}" if run.get("runs", 1) > 1 else "failed"

@@ -1,4 +1,4 @@
-"""The result of looking at a road: what it is, what of it cannot be driven, and how it looks from above."""
+"""The result of a road check: summary, places that cannot be driven, and the road from above."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def limits_record(plan: SpeedPlan) -> dict[str, Any]:
 
 
 def _longest(plan: SpeedPlan) -> list[dict[str, Any]]:
-    """The share of each limit, and its longest stretch."""
+    """A row for each limit of the speed, with its share and its longest stretch."""
     rows = []
     for limit, share in plan.shares.items():
         stretches = [stretch for stretch in plan.stretches if stretch.limit == limit]
@@ -90,7 +90,7 @@ def _longest(plan: SpeedPlan) -> list[dict[str, Any]]:
 
 
 def limits_in_words(plan: SpeedPlan) -> str:
-    """Which limits bind on which share of the road; empty where the speed was not planned."""
+    """The limits of the speed with their shares of the road; empty if the speed was not planned."""
     limits = ", ".join(f"{limit} {100 * share:.0f} %" for limit, share in plan.shares.items() if share >= 0.005)
     return f"Speed limited by: {limits} of the road." if limits else ""
 

@@ -46,8 +46,8 @@ def check_one_road(drives: Sequence[DriveRecord]) -> None:
         raise InvalidInput("drives on one page must share their road: give all of them the same Road object.")
 
 
-def scale_of(drives: Sequence[DriveRecord]) -> float:
-    """m, the |e| at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
+def offset_scale(drives: Sequence[DriveRecord]) -> float:
+    """The |e| (m) at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
     high = max(0.05, *(drive.p95_offset for drive in drives))
     decade = 10.0 ** math.floor(math.log10(high))
     return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= high * (1.0 - 1e-9))
@@ -67,7 +67,7 @@ def outline_stations(road: Road, start: float, end: float) -> Array:
 
 
 def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
-    """m, m: the part of the road to draw; for an open one with what was driven beyond its ends."""
+    """Start and end (m) of the drawn part of the road, including drives beyond the ends of an open one."""
     road = drives[0].road
     if road.closed:
         return 0.0, road.length
@@ -85,7 +85,7 @@ def above_picture(drives: Drives) -> Picture:
     """
     records, alone = list(drives.values()), len(drives) == 1
     check_one_road(records)
-    ends, high = road_span(records), scale_of(records)
+    ends, high = road_span(records), offset_scale(records)
     beyond = max(drive.max_offset for drive in records) > high
     scale = ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
     panels = [

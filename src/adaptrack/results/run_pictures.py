@@ -47,22 +47,22 @@ Signal = Callable[[Trajectory], Array]
 
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 CREEPING = 3.0
-"""m/s, the lowest speed of the paper's operating domain; a panel may cut what happens below it."""
+"""m/s, lowest speed of the paper's operating domain; a panel may cut off slower driving"""
 
 CURVE_POINTS = 2400
-"""Instants of a curve: more are thinned to the smallest and the largest of each of half as many parts."""
+"""Instants of a curve: more are thin_curve to the smallest and the largest of each of half as many parts."""
 
 
 @dataclass(frozen=True)
 class DrawnRun:
-    """One run, ready to be drawn: cut where it failed."""
+    """A run for a picture, cut at its failure."""
 
     label: str
     run: Trajectory
     stroke: Stroke
     failed: bool
     end: float
-    """s, when the scenario ends, whether or not the run got there."""
+    """s, end of the scenario, also for a run that failed before"""
 
     @property
     def x(self) -> Array:
@@ -73,7 +73,7 @@ class DrawnRun:
 Lines = Sequence[DrawnRun]
 
 
-def as_lines(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
+def prepare_runs(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
     """The runs with their strokes, those that failed cut at the instant of the failure.
 
     Raises
@@ -180,7 +180,7 @@ def _signal(
     title: str, label: str, lines: Lines, value: Signal, draw_more: Callable[[Axes], None] | None = None,
     remark: str = "",
 ) -> Panel:  # fmt: skip
-    """One curve per run around a zero line; draw_more: what to draw under the curves."""
+    """One curve per run around a zero line; draw_more: draws more under the curves."""
     limits, start = _frame(lines, value)
 
     def draw(axes: Axes) -> None:
@@ -228,7 +228,7 @@ def condition_panels(lines: Lines) -> list[Panel]:
         if name not in ("Np", "Nc", "Q", "R"):
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
             draw = partial(_draw_tuning, lines=lines, name=name)
-            panels.append(_panel(data_text(name), label, lines, tuned(name), draw))
+            panels.append(_panel(data_text(name), label, lines, tuning_signal(name), draw))
     return panels
 
 
@@ -272,11 +272,11 @@ def _horizons(lines: Lines) -> Panel:
         set_whole_ticks(axes)
         add_line_key(axes, [("$N_p$", SHARED_STROKE), ("$N_c$", Stroke(INK, "dotted"))])
 
-    return _panel("Horizons", "Control periods (–)", lines, tuned("Nc", "Np"), draw)
+    return _panel("Horizons", "Control periods (–)", lines, tuning_signal("Nc", "Np"), draw)
 
 
 def _weights(lines: Lines) -> Panel:
-    weights = np.concatenate([tuned("Q", "R")(line.run).ravel() for line in lines])
+    weights = np.concatenate([tuning_signal("Q", "R")(line.run).ravel() for line in lines])
     positive = weights[weights > 0.0]
     limits = None
     if positive.size:
@@ -289,10 +289,10 @@ def _weights(lines: Lines) -> Panel:
         set_log_scale(axes, "y", limits)
         add_line_key(axes, [("$Q$", SHARED_STROKE), ("$R$", Stroke(INK, "dotted"))])
 
-    return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuned("Q", "R"), draw)
+    return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuning_signal("Q", "R"), draw)
 
 
-def tuned(*names: str) -> Signal:
+def tuning_signal(*names: str) -> Signal:
     """A function that returns tuning entries of a run, (n,) or (names, n); NaN where its controller has none."""
 
     def values(run: Trajectory) -> Array:
@@ -305,11 +305,11 @@ def tuned(*names: str) -> Signal:
 # -- curves -----------------------------------------------------------------------------------------------------------
 def _draw_curve(axes: Axes, line: DrawnRun, values: Array, stroke: Stroke | None = None, **look: Any) -> None:
     """Draw a signal of a run over its horizontal axis."""
-    keep = thinned(values)
+    keep = thin_curve(values)
     axes.plot(line.x[keep], values[keep], **(stroke or line.stroke).look, **look)
 
 
-def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
+def thin_curve(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
     """The indices of a curve to draw: all, or the smallest and the largest of each of `most`/2 parts, and the ends."""
     if values.size <= most:
         return np.arange(values.size)
@@ -320,7 +320,7 @@ def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
 
 
 def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
-    """The samples of the part of a log of so many seconds that turns most."""
+    """The part of a log of a given length (s) with the most turning."""
     total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(yaw_rate) ** 2)])
     ends = np.searchsorted(time, time + seconds, side="right")
     first = int(np.argmax(total[ends] - total[np.arange(time.size)]))
@@ -409,7 +409,7 @@ def speed_picture(
 ) -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
     line_styles = line_styles or strokes(label for runs in scenarios.values() for label in runs)
-    lines = {name: as_lines(runs, line_styles) for name, runs in scenarios.items()}
+    lines = {name: prepare_runs(runs, line_styles) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
     key = {"Profile": REFERENCE_STROKE} | {line.label: line.stroke for group in lines.values() for line in group}
     return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
@@ -419,7 +419,7 @@ def tracking_picture(
     runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "tracking", caption: str = ""
 ) -> Picture:
     """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
-    lines = as_lines(runs, line_styles)
+    lines = prepare_runs(runs, line_styles)
     key = [("Reference", REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
     columns = 1 if any(run.road for run in runs.values()) else 2
     return Picture(
@@ -431,6 +431,6 @@ def conditions_picture(
     runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "conditions", caption: str = ""
 ) -> Picture:
     """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
-    lines = as_lines(runs, line_styles)
+    lines = prepare_runs(runs, line_styles)
     key = [(line.label, line.stroke) for line in lines]
     return Picture(name, caption, condition_panels(lines), key, f"{name}.png")

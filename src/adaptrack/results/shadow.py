@@ -1,4 +1,4 @@
-"""The result of shadow mode: what is believed on each log, how well the car is predicted, what is warned of."""
+"""The result of shadow mode: learned car, accuracy of the predictions and warnings for each log."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS
 from adaptrack.results.learned_picture import LEARNED_QUANTITIES
 from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
-from adaptrack.results.run_pictures import thinned, turning_part
+from adaptrack.results.run_pictures import thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ SHOWN_SECONDS = 15.0
 BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
 BELIEF_LABELS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
 BELIEF_NAMES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
-"""Of `LearnedCar.intervals`."""
+"""Names of the rows of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
 PREDICTION_COLUMNS = (
@@ -80,7 +80,7 @@ def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Res
 
 
 def _answer(log: ShadowLog, with_source: bool) -> str:
-    """Whether the belief is to be believed, and which predictor is best."""
+    """The verdict on the belief, and the best predictor."""
     why = "; ".join(log.doubts or log.bounds)
     delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
     belief = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
@@ -88,7 +88,7 @@ def _answer(log: ShadowLog, with_source: bool) -> str:
 
 
 def _winner(log: ShadowLog) -> str:
-    """Who predicts the yaw rate best, and how the learned model compares."""
+    """The best predictor of the yaw rate, and the error of the learned model."""
     predictions = log.of("yaw_rate", LATER)
     if not predictions:
         return "It is too short to compare predictions."
@@ -106,7 +106,7 @@ def _winner(log: ShadowLog) -> str:
 
 
 def _warning_text(warning: Warned, log: ShadowLog) -> str:
-    """Return the warnings in words."""
+    """A warning with its duration."""
     if math.isnan(warning.seconds):
         return f"{warning.what} (the whole log)"
     return f"{warning.what} ({warning.seconds:.0f} of {log.time[-1]:.0f} s, from {warning.first:.0f} s on)"
@@ -147,7 +147,7 @@ def _record(shadow: Shadow) -> dict[str, Any]:
 
 
 def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
-    """Who predicted how well; what is believed in the end."""
+    """Tables of the prediction errors and of the final belief."""
     soon, later = (log.of("yaw_rate", ahead) for ahead in TIMES)
     fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
     rows: list[dict[str, Any]] = [
@@ -177,12 +177,12 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
 def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) -> Picture:
-    """Wide panels, one below the other."""
+    """A picture of wide panels, one below the other."""
     return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4)
 
 
 def _predicted(logs: Sequence[ShadowLog]) -> Picture:
-    """Yaw rate as measured, and as predicted."""
+    """A picture of measured and predicted yaw rate."""
     panels = [Panel(log.source, partial(_draw_predicted, log=log), _winner(log)) for log in logs]
     key = [
         *((capital(PREDICTOR_NAMES[name]), PREDICTOR_STROKES[name]) for name in PREDICTORS),
@@ -206,7 +206,7 @@ def _draw_predicted(axes: Axes, log: ShadowLog) -> None:
 
 
 def _believed(logs: Sequence[ShadowLog]) -> Picture:
-    """The belief over time, one log after the other."""
+    """A picture of the belief over time, one log after the other."""
     panels = [
         Panel(
             title, partial(_draw_believed, logs=logs, name=name, label=label),
@@ -222,7 +222,7 @@ def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str)
     for start in starts[1:-1]:
         axes.axvline(start, linewidth=0.8, **BACKGROUND_STROKE.look)
     for log, start in zip(logs, starts[:-1], strict=True):
-        keep = thinned(log.beliefs[f"belief_{name}"])
+        keep = thin_curve(log.beliefs[f"belief_{name}"])
         mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
         logarithmic = name in ("stiffness", "balance")
         factor, spread = (np.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
@@ -233,7 +233,7 @@ def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str)
 
 
 def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
-    """The controller's command beside the driver's; none without a path."""
+    """A picture of the commands of driver and controller; none without a path."""
     panels = []
     for log in logs:
         difference = (log.proposed - log.command)[np.isfinite(log.proposed)]

@@ -1,4 +1,4 @@
-"""Which figure and which notebook form belongs to which type (`base.shown`)."""
+"""Figure and notebook form of each type (`base.shown`)."""
 
 from __future__ import annotations
 

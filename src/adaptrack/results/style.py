@@ -1,11 +1,11 @@
-"""How every picture looks: colours, type, grid; and how a figure becomes PNG or SVG. No pyplot, no global state."""
+"""The style of all pictures: fonts, lines, grid; figures as PNG or SVG. No pyplot, no global state."""
 
 from __future__ import annotations
 
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -27,10 +27,10 @@ _THEME = {INK: "ink", MUTED: "muted", PALE: "grid"} | {colour: f"series-{i}" for
 _THEMED = re.compile("|".join(_THEME), re.IGNORECASE)
 
 PAGE_WIDTH = 7.2
-"""inch, of a full figure: the text width of a two-column paper."""
+"""inch, width of a full figure: the text width of a two-column paper"""
 
 PANEL_SIZE = (4.5, 2.55)
-"""inch, of a panel on the page."""
+"""inch, width and height of a panel on the page"""
 
 PNG_DPI = 200
 """Dots per inch of the PNG files."""
@@ -95,7 +95,7 @@ FONTS = "DejaVu Sans, Verdana, Geneva, sans-serif"
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """matplotlib's defaults with `RC` on top, whatever the user's own settings are, for the length of a block."""
+    """Use matplotlib's defaults with `RC` on top within a block, whatever the user's settings are."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(RC)
@@ -109,26 +109,13 @@ class ShownFigure(Figure):
         return png(self)
 
 
-def panel_figure(draw: Callable[[Axes], None]) -> Figure:
-    """A figure of one panel, for the page; axes and labels of all such figures align."""
-    width, height = PANEL_SIZE
-    left, right, bottom, top = 0.74, 0.1, 0.45, 0.28  # inch
-    box = {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
-    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
-        figure = Figure(figsize=PANEL_SIZE)
-        axes = figure.subplots(gridspec_kw=box)
-        draw(axes)
-        axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
-    return figure
-
-
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
-    """A legend in rows above all panels, where it covers nothing."""
+    """Add a legend in rows above all panels."""
     key = [(data_text(label), stroke) for label, stroke in key]
     handles = [Line2D([], [], **stroke.look, linewidth=1.6, label=label) for label, stroke in key]
 
     def width(columns: int) -> int:
-        """In letters; a legend is filled column by column."""
+        """The width of the legend in letters; it is filled column by column."""
         rows = -(-len(key) // columns)
         return sum(9 + max(len(label) for label, _ in key[i : i + rows]) for i in range(0, len(key), rows))
 
@@ -186,7 +173,7 @@ def inline_svg(figure: Figure, prefix: str, description: str) -> str:
 
 
 def _tag(text: str, prefix: str) -> str:
-    """A tag of matplotlib's SVG as a page has it: ids apart from other pictures', themed colours, the page's fonts."""
+    """Adapt a tag of matplotlib's SVG to a page: unique ids, themed colours, the page's fonts."""
     text = re.sub(r'\s(?:xmlns(?::\w+)?|version)="[^"]*"', "", text)
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
