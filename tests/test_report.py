@@ -130,7 +130,7 @@ def report(tmp_path_factory):
     """A report on both tests of the paper, three controllers each, one of them lost on one test."""
     folder = tmp_path_factory.mktemp("report") / "out"
     standard = drive()
-    shown = [
+    runs = [
         standard,
         drive("nn", scale=0.4, adapt=True),
         lost(drive("anfis", scale=0.5, adapt=True)),
@@ -138,7 +138,7 @@ def report(tmp_path_factory):
         drive("nn", "general-trajectory", scale=0.3, adapt=True, n=2000),
     ]
     with pictures(drawn=True):
-        path = write_drive_page(folder, shown, title="Both tests", command="adaptrack drive --out <here>")
+        path = write_drive_page(folder, runs, title="Both tests", command="adaptrack drive --out <here>")
     return folder, path.read_text(), standard
 
 
@@ -181,11 +181,11 @@ def test_every_tag_is_closed_and_every_id_is_unique(report):
 
 def test_the_page_of_several_runs_has_headline_failures_pictures_and_provenance(report):
     folder, text, standard = report
-    shown = Outline(text).text
+    visible_text = Outline(text).text
     assert "<title>1 of 5 runs failed · Both tests</title>" in text
     first = text[text.index("</h1>") : text.index("<nav")]
     assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="introduction"')
-    assert re.search(r"Failed: Triple lane change, ANFIS-MPC, at 10\.\d s; the vehicle left the road", shown)
+    assert re.search(r"Failed: Triple lane change, ANFIS-MPC, at 10\.\d s; the vehicle left the road", visible_text)
     assert "Largest error" in first
     names = [f"{test}-{kind}.png" for test in ("general-trajectory", "triple-lane-change")
              for kind in ("conditions", "tracking")]  # fmt: skip
@@ -193,10 +193,10 @@ def test_the_page_of_several_runs_has_headline_failures_pictures_and_provenance(
     described = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
     assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in described)
     for value in ("0.0318", "0.0051", "0.5896", "0.132", words.number(compute_metrics(standard).mse)):
-        assert value in shown
+        assert value in visible_text
     for entry in ("Profile paper", "Plant dual-track, constant-stiffness", '"seed": 7', "kernels"):
-        assert entry in shown
-    assert "adaptrack drive --out <here>" in shown  # escaped in the source, whole for the reader
+        assert entry in visible_text
+    assert "adaptrack drive --out <here>" in visible_text  # escaped in the source, whole for the reader
     assert "<here>" not in text
 
 
@@ -331,13 +331,13 @@ def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
     (axes,) = figure.axes
     factor = axes.yaxis.get_offset_text()
     assert bool(factor.get_text()) == (height != 1.0)
-    (drawn,) = figure.findobj(lambda each: isinstance(each, Text) and each.get_text() == title)
+    (drawn,) = figure.findobj(lambda artist: isinstance(artist, Text) and artist.get_text() == title)
     assert not (factor.get_text() and drawn.get_window_extent().overlaps(factor.get_window_extent()))
 
 
 def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
-    good, bad = drive(), lost(drive("nn"))
-    figure = figure_of(tracking_picture, {"good": good, "bad": bad})
+    run, lost_run = drive(), lost(drive("nn"))
+    figure = figure_of(tracking_picture, {"good": run, "bad": lost_run})
     error = figure.axes[1]
     assert error.get_ylim()[1] < 1.0  # the lost run reaches 5 m and more
     ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == SERIES[1]]
@@ -371,10 +371,10 @@ def test_start_up_from_standstill_does_not_flatten_the_rest():
 
 def test_steps_in_which_a_safe_angle_was_held_are_marked():
     run = drive()
-    held = (run.t > 5.0) & (run.t < 6.0)
-    steering = figure_of(tracking_picture, {"x": dataclasses.replace(run, held=held)}).axes[2]
+    is_held = (run.t > 5.0) & (run.t < 6.0)
+    steering = figure_of(tracking_picture, {"x": dataclasses.replace(run, held=is_held)}).axes[2]
     (squares,) = (line for line in steering.get_lines() if line.get_marker() == "s")
-    assert squares.get_xdata().tolist() == run.t[held].tolist()
+    assert squares.get_xdata().tolist() == run.t[is_held].tolist()
     assert steering.get_title("right") == "□ held"
 
 
@@ -457,8 +457,8 @@ def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
 def test_the_colours_of_several_maps_span_all_their_numbers():
     scale = shared_scale([np.array([[1.0, np.nan]]), np.array([[7.0]])], integer=True)
     assert (scale.low, scale.high) == (1.0, 7.0)
-    alike = shared_scale([np.array([[3.0]])], integer=False)
-    assert (alike.low, alike.high) == (2.5, 3.5)
+    equal_scale = shared_scale([np.array([[3.0]])], integer=False)
+    assert (equal_scale.low, equal_scale.high) == (2.5, 3.5)
 
 
 @pytest.mark.parametrize("image", [False, True])

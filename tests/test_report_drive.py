@@ -113,7 +113,7 @@ def test_the_picture_from_above_is_to_scale_and_coloured_by_the_offset():
     style.png(figure)  # settles the layout
     small, large = figure.axes[:2]
     assert [axes.get_title("left") for axes in (small, large)] == ["(a) a", "(b) b"]
-    (strokes,) = (each for each in large.collections if each.get_array() is not None)
+    (strokes,) = (collection for collection in large.collections if collection.get_array() is not None)
     assert strokes.get_array().max() == pytest.approx(1.0, rel=0.01)
     for axes in (small, large):
         box = axes.get_window_extent()

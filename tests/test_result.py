@@ -34,25 +34,25 @@ def panel():
     return Panel("A panel", draw_line, "A line from 0 to 1.")
 
 
-def result(**more):
+def result(**fields):
     table = ResultTable(
         "runs", "All runs", COLUMNS, ROWS, group="test", best=where(ROWS, ["rms"], lambda row: row["rms"]), brief=True
     )
-    shown = Picture("line", "A line.", [panel()])
+    picture = Picture("line", "A line.", [panel()])
     return Result(
-        kind="a kind without a template", title="A title", answer="1.6 cm RMS.", tables=[table], pictures=[shown],
+        kind="a kind without a template", title="A title", answer="1.6 cm RMS.", tables=[table], pictures=[picture],
         record={"rms": np.float64(0.5), "array": np.arange(2), "none": float("nan"), "rows": [{"inside": (1, 2)}]},
-        notes=["Mind the gap."], next_step="Next: adaptrack drive.", **more,
+        notes=["Mind the gap."], next_step="Next: adaptrack drive.", **fields,
     )  # fmt: skip
 
 
 def test_the_console_begins_with_the_answer_and_ends_with_what_to_do_next(capsys):
     print_result(result())
-    first, *rest, last = capsys.readouterr().out.splitlines()
+    first, *lines, last = capsys.readouterr().out.splitlines()
     assert (first, last) == ("1.6 cm RMS.", "Next: adaptrack drive.")
-    assert "Note: Mind the gap." in rest
-    assert any(re.search(r"informed +0.0161 +50 +1 to 2", line) for line in rest)
-    assert any(re.search(r"stanley <b> +- +0 +-", line) for line in rest)
+    assert "Note: Mind the gap." in lines
+    assert any(re.search(r"informed +0.0161 +50 +1 to 2", line) for line in lines)
+    assert any(re.search(r"stanley <b> +- +0 +-", line) for line in lines)
 
 
 def test_json_is_strict_and_holds_the_record_alone():

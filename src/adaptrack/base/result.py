@@ -9,10 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from typing import Any, Literal
 
 Row = Mapping[str, Any]
 """Column -> value: a number, words, a pair (lowest, highest), or None where there is none."""
@@ -114,8 +111,8 @@ class Panel:
     """A drawing on one pair of axes."""
 
     title: str
-    draw: Callable[[Axes], None]
-    """Draws the curves on matplotlib's axes and sets their labels, limits and scales."""
+    draw: Callable[[Any], object]
+    """Draws the curves on matplotlib's axes (`matplotlib.axes.Axes`) and sets their labels, limits and scales."""
     description: str
     """The alternative text is the title followed by it."""
     height: float = 1.0

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
     from adaptrack.cars.vehicle import Vehicle
 
-Row = Mapping[str, Any]
-
 THIN_MODULUS = 0.25
 """-, modulus margin below which an answer calls it thin; textbooks ask for at least 0.5"""
 

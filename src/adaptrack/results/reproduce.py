@@ -7,13 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from adaptrack.base.result import Column, Picture, Result, ResultTable, strokes
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, strokes
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.reproduce import TESTS, Reproduction
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
-
-Row = Mapping[str, Any]
 
 MSE_TOLERANCE = 0.25
 """A mean square error counts as reproduced when it differs from the paper's by at most this share."""

@@ -135,8 +135,7 @@ def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
     def draw(axes: Axes) -> None:
         for line in lines:
             _draw_curve(axes, line, line.run.vx)
-        longest = _longest(lines)
-        _draw_curve(axes, longest, longest.run.v_ref, REFERENCE_STROKE, linewidth=1.0)
+        _draw_shared(axes, lines, lambda run: run.v_ref, REFERENCE_STROKE)
         if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
             axes.set_ylim(bottom=0.0)
         _draw_crosses(axes, lines, speed)
@@ -151,24 +150,12 @@ def tracking_panels(lines: Lines) -> list[Panel]:
             "Lateral acceleration", "Lateral acc. (m/s²)", lines, lambda run: run.lateral_acceleration
         )
         return [error_panel(lines), _steering(lines), speed_panel(lines), acceleration]
-    yaw_rate = _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate)
-    return [_position(lines), error_panel(lines), _steering(lines), yaw_rate]
-
-
-def _position(lines: Lines) -> Panel:
-    def position(run: Trajectory) -> Array:
-        return run.Y
-
-    limits, start = _frame(lines, position)
-
-    def draw(axes: Axes) -> None:
-        for line in lines:
-            _draw_curve(axes, line, line.run.Y)
-        longest = _longest(lines)
-        _draw_curve(axes, longest, longest.run.y_ref, REFERENCE_STROKE, linewidth=1.0)
-        _frame_curves(axes, lines, position, limits, start)
-
-    return _panel("Trajectory tracking", "Lateral position (m)", lines, position, draw)
+    return [
+        _signal("Trajectory tracking", "Lateral position (m)", lines, lambda run: run.Y, lambda run: run.y_ref),
+        error_panel(lines),
+        _steering(lines),
+        _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
+    ]
 
 
 def error_panel(lines: Lines) -> Panel:
@@ -177,19 +164,25 @@ def error_panel(lines: Lines) -> Panel:
 
 
 def _signal(
-    title: str, label: str, lines: Lines, value: Signal, draw_more: Callable[[Axes], None] | None = None,
-    remark: str = "",
+    title: str, label: str, lines: Lines, value: Signal, reference: Signal | None = None,
+    draw_more: Callable[[Axes], None] | None = None, remark: str = "",
 ) -> Panel:  # fmt: skip
-    """One curve per run around a zero line; draw_more: draws more under the curves."""
+    """One curve per run with the reference or else a zero line; draw_more: draws more under the curves."""
     limits, start = _frame(lines, value)
 
     def draw(axes: Axes) -> None:
         if draw_more:
             draw_more(axes)
-        axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        if reference is None:
+            axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
         for line in lines:
             _draw_curve(axes, line, value(line.run))
-        _frame_curves(axes, lines, value, limits, ",  ".join(filter(None, (start, remark))))
+        if reference is not None:
+            _draw_shared(axes, lines, reference, REFERENCE_STROKE)
+        if limits:
+            axes.set_ylim(limits)
+        _draw_crosses(axes, lines, value)
+        write_remark(axes, ",  ".join(filter(None, (start, remark))))
 
     return _panel(title, label, lines, value, draw)
 
@@ -207,7 +200,7 @@ def _steering(lines: Lines) -> Panel:
             draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
 
     remark = "□ held" if holding else ""
-    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, draw_command, remark)
+    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, None, draw_command, remark)
 
     def draw(axes: Axes) -> None:
         signal.draw(axes)
@@ -237,27 +230,26 @@ def _gust(lines: Lines) -> Panel:
 
     def draw(axes: Axes) -> None:
         axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
-        longest = _longest(lines)
-        _draw_curve(axes, longest, longest.run.wind[:, 1], SHARED_STROKE, linewidth=1.0)
+        _draw_shared(axes, lines, lambda run: run.wind[:, 1])
         if any(line.run.wind[:, 0].any() for line in lines):
-            _draw_curve(axes, longest, longest.run.wind[:, 0], longitudinal, linewidth=1.0)
+            _draw_shared(axes, lines, lambda run: run.wind[:, 0], longitudinal)
             add_line_key(axes, [("lateral", SHARED_STROKE), ("longitudinal", longitudinal)])
 
     return _panel("Lateral gust", "Wind speed (m/s)", lines, lambda run: run.wind[:, 1], draw)
 
 
 def _friction(lines: Lines) -> Panel:
-    wheels = _distinct_wheels(lines)
     dashes: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dash-dot")
-    wheel_strokes = [Stroke(INK, dash) for dash in dashes]
+    wheels = [
+        (wheel, name, Stroke(INK, dash)) for dash, (wheel, name) in zip(dashes, _distinct_wheels(lines), strict=False)
+    ]
 
     def draw(axes: Axes) -> None:
-        longest = _longest(lines)
-        for stroke, (wheel, _) in zip(wheel_strokes, wheels, strict=False):
-            _draw_curve(axes, longest, longest.run.friction[:, wheel], stroke, linewidth=1.0)
+        for wheel, _, stroke in wheels:
+            _draw_shared(axes, lines, lambda run, wheel=wheel: run.friction[:, wheel], stroke)  # type: ignore[misc]
         include_y(axes, 0.45, 1.0)
         if len(wheels) > 1:
-            add_line_key(axes, [(name, stroke) for stroke, (_, name) in zip(wheel_strokes, wheels, strict=False)])
+            add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
 
     return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
 
@@ -327,20 +319,18 @@ def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
     return slice(first, int(ends[first]))
 
 
+def _draw_shared(axes: Axes, lines: Lines, value: Signal, stroke: Stroke = SHARED_STROKE) -> None:
+    """Draw a signal of the scenario, which all runs share, from the longest run."""
+    longest = max(lines, key=lambda line: len(line.run))
+    _draw_curve(axes, longest, value(longest.run), stroke, linewidth=1.0)
+
+
 def _draw_tuning(axes: Axes, lines: Lines, name: str, dash: Dash = "solid") -> None:
     """Draw a tuning entry of all runs that have it, as steps."""
     for line in lines:
         if name in line.run.tuning:
             stroke = Stroke(line.stroke.colour, dash)
             _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
-
-
-def _frame_curves(axes: Axes, lines: Lines, value: Signal, limits: tuple[float, float] | None, remark: str) -> None:
-    """Set the limits of the y axis and draw crosses and remark."""
-    if limits:
-        axes.set_ylim(limits)
-    _draw_crosses(axes, lines, value)
-    write_remark(axes, remark)
 
 
 def _draw_crosses(axes: Axes, lines: Lines, value: Signal) -> None:
@@ -353,11 +343,6 @@ def _draw_crosses(axes: Axes, lines: Lines, value: Signal) -> None:
             x, y = np.clip(line.x[last], *axes.get_xlim()), np.clip(values[last], *axes.get_ylim())
             look: dict[str, Any] = {"color": line.stroke.colour, "markersize": 6.0, "markeredgewidth": 1.8}
             axes.plot([x], [y], "x", scalex=False, scaley=False, clip_on=False, **look)
-
-
-def _longest(lines: Lines) -> DrawnRun:
-    """The longest run: it has the whole of a signal that all runs share."""
-    return max(lines, key=lambda line: len(line.run))
 
 
 def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
