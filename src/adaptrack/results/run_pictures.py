@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
 """Label -> run, in the order of the legend."""
-Signal = Callable[[Trajectory], Array]
+RunSignal = Callable[[Trajectory], Array]
 """A function that returns a signal of a run."""
 
 _WHEELS = ("front left", "front right", "rear left", "rear right")
@@ -102,7 +102,7 @@ def _last_drawn(run: Trajectory, failed: int) -> float:
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
-def _panel(title: str, label: str, lines: Lines, value: Signal, draw: Callable[[Axes], None]) -> Panel:
+def _panel(title: str, label: str, lines: Lines, value: RunSignal, draw: Callable[[Axes], None]) -> Panel:
     """A panel over time or station; value: the quantity whose ranges stand in the alternative text."""
     along = any(line.run.road for line in lines)
 
@@ -164,15 +164,12 @@ def error_panel(lines: Lines) -> Panel:
 
 
 def _signal(
-    title: str, label: str, lines: Lines, value: Signal, reference: Signal | None = None,
-    draw_more: Callable[[Axes], None] | None = None, remark: str = "",
-) -> Panel:  # fmt: skip
-    """One curve per run with the reference or else a zero line; draw_more: draws more under the curves."""
+    title: str, label: str, lines: Lines, value: RunSignal, reference: RunSignal | None = None, remark: str = ""
+) -> Panel:
+    """One curve per run with the reference or else a zero line."""
     limits, start = _frame(lines, value)
 
     def draw(axes: Axes) -> None:
-        if draw_more:
-            draw_more(axes)
         if reference is None:
             axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
         for line in lines:
@@ -190,19 +187,16 @@ def _signal(
 def _steering(lines: Lines) -> Panel:
     """The angle of the wheels, for a single run with its command; squares mark held angles, degrees at the right."""
     holding = [line for line in lines if line.run.held.any()]
+    remark = "□ held" if holding else ""
+    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, remark=remark)
 
-    def draw_command(axes: Axes) -> None:
+    def draw(axes: Axes) -> None:
         if len(lines) == 1:
             command = lines[0].run.command
             _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
         for line in holding:
             is_held = line.run.held
             draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
-
-    remark = "□ held" if holding else ""
-    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, None, draw_command, remark)
-
-    def draw(axes: Axes) -> None:
         signal.draw(axes)
         add_degrees(axes)
 
@@ -284,7 +278,7 @@ def _weights(lines: Lines) -> Panel:
     return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuning_signal("Q", "R"), draw)
 
 
-def tuning_signal(*names: str) -> Signal:
+def tuning_signal(*names: str) -> RunSignal:
     """A function that returns tuning entries of a run, (n,) or (names, n); NaN where its controller has none."""
 
     def values(run: Trajectory) -> Array:
@@ -319,7 +313,7 @@ def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
     return slice(first, int(ends[first]))
 
 
-def _draw_shared(axes: Axes, lines: Lines, value: Signal, stroke: Stroke = SHARED_STROKE) -> None:
+def _draw_shared(axes: Axes, lines: Lines, value: RunSignal, stroke: Stroke = SHARED_STROKE) -> None:
     """Draw a signal of the scenario, which all runs share, from the longest run."""
     longest = max(lines, key=lambda line: len(line.run))
     _draw_curve(axes, longest, value(longest.run), stroke, linewidth=1.0)
@@ -333,7 +327,7 @@ def _draw_tuning(axes: Axes, lines: Lines, name: str, dash: Dash = "solid") -> N
             _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
 
 
-def _draw_crosses(axes: Axes, lines: Lines, value: Signal) -> None:
+def _draw_crosses(axes: Axes, lines: Lines, value: RunSignal) -> None:
     """Draw a cross where a failed run ends, at the edge of the frame if it left the frame."""
     for line in lines:
         values = value(line.run)
@@ -359,7 +353,7 @@ def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
     return list(enumerate(_WHEELS))
 
 
-def _frame(lines: Lines, value: Signal) -> tuple[tuple[float, float] | None, str]:
+def _frame(lines: Lines, value: RunSignal) -> tuple[tuple[float, float] | None, str]:
     """The limits of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
 
     A start from standstill may need wild steering for a second or two. Where that would flatten all the rest, it
