@@ -35,9 +35,9 @@ def coarse():
         patch.setattr(holdable, "RATIO", 1.9)
         patch.setattr(holdable, "FRICTIONS", (0.5, 1.0))
         patch.setattr(holdable, "SIDEWAYS", (0.0, 0.5))
-        holdable._kept.cache_clear()
+        holdable._cached_speeds.cache_clear()
         yield lambda mpc, profile: holdable_speed(CAR, mpc, profile)
-    holdable._kept.cache_clear()
+    holdable._cached_speeds.cache_clear()
 
 
 # -- the table --------------------------------------------------------------------------------------------------------

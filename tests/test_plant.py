@@ -19,7 +19,7 @@ from adaptrack.cars.plant import (
     register_plant,
 )
 from adaptrack.cars.vehicle import SteeringActuator, list_tyres, list_vehicles, load_vehicle
-from adaptrack.core.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
+from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATES, SLOTS, place, vehicle_batch
 
 pytestmark = pytest.mark.kernels
 
@@ -129,8 +129,8 @@ def test_a_users_plant_is_told_the_prescribed_acceleration(steering):
     vehicles = vehicle_batch(plant.compiled, plant.packed(), plant.initial_state([0, 0, 0, 10.0, 0, 0])[None])
     place(1, vehicles.start, vehicles.block, vehicles.states)
     for acceleration, force, expected in ((2.0, 0.0, (10.4, 0.4, 0.0)), (math.nan, 7.0, (30.2, 0.2, 1.4))):
-        vehicles.block[(STATES + INPUT.acceleration) * SLOTS] = acceleration
-        vehicles.block[(STATES + INPUT.force) * SLOTS] = force
+        vehicles.block[(PLANT_STATES + PLANT_INPUT.acceleration) * SLOTS] = acceleration
+        vehicles.block[(PLANT_STATES + PLANT_INPUT.force) * SLOTS] = force
         plant.compiled.advance(
             vehicles.member, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, 1, 4, 0.05
         )

@@ -296,7 +296,7 @@ def pursuit(**options):
 def test_a_schedule_tunes_a_controller_with_other_entries(tmp_path):
     schedule = pursuit()
     check_scheduler(schedule)
-    assert not schedule.of_mpc
+    assert not schedule.tunes_mpc
     rows = np.zeros((3, 7))
     rows[:, 0] = 0.0, 12.3, 30.0
     assert schedule.batch(rows).tolist() == [[3.0], [pytest.approx(2.5 + 17.5 * 12.3 / 30.0)], [15.0]]  # not rounded

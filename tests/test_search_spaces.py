@@ -12,10 +12,10 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import (
     LQR,
     MPC,
-    Bounds,
     Controller,
     PurePursuit,
     Stanley,
+    TuningBounds,
 )
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
@@ -87,7 +87,7 @@ def test_horizons_longer_than_an_mpc_was_made_for_make_a_larger_one():
 
 def test_a_controller_of_ones_own_needs_a_space():
     class Mine(PurePursuit):
-        tuning_bounds: Mapping[str, Bounds] = {}
+        tuning_bounds: Mapping[str, TuningBounds] = {}
 
     with pytest.raises(InvalidInput, match="space=SearchSpace"):
         search_space(Mine(CAR))

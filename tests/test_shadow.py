@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import adaptrack as at
 from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
-from adaptrack.core.estimators.learning import BELIEFS, memory_of
+from adaptrack.core.estimators.learning import BELIEF_NAMES, memory_of
 from adaptrack.identification.instants import ReadLog
 from adaptrack.identification.shadow import Shadow
 from adaptrack.results.console import print_result
@@ -46,7 +46,7 @@ def driven(mpc, seed=5, profile="road", scenario=None):
     )
     speed, vy, _, yaw_rate, _, _, _, command, *beliefs = np.array(rows).T
     log = {"time": run.t, "speed": speed, "yaw_rate": yaw_rate, "vy": vy, "command": command}
-    return log, dict(zip(BELIEFS, beliefs, strict=False)), run
+    return log, dict(zip(BELIEF_NAMES, beliefs, strict=False)), run
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_with_a_path_offset_and_command_are_compared_and_nothing_is_steered(save
 def test_another_path_changes_what_is_proposed_and_not_what_is_learned(saved):
     beside = at.road_through(np.column_stack([np.linspace(-50.0, 3000.0, 60), np.full(60, 2.0)]))
     found = at.shadow(saved[0], CAR, path=beside).logs[0]
-    for name in BELIEFS:
+    for name in BELIEF_NAMES:
         assert np.array_equal(found.beliefs[name], saved[1].beliefs[name])
     assert np.mean((found.proposed - saved[1].proposed)[:20]) > 0.01  # the path lies to the left
 
@@ -158,7 +158,7 @@ def test_a_record_of_a_loop_is_a_log(drive, watched, tmp_path):
     table = log | {"acceleration": nothing, "wheel": nothing, "x": run.X, "y": run.Y, "yaw": run.psi}
     pyarrow.parquet.write_table(pyarrow.table(table), tmp_path / "loop.parquet")
     found = at.shadow(tmp_path / "loop.parquet", CAR, computation=0.05).logs[0]
-    for name in BELIEFS:
+    for name in BELIEF_NAMES:
         assert np.array_equal(found.beliefs[name], watched.beliefs[name])
     assert np.isfinite(found.proposed).mean() > 0.9
 

@@ -10,7 +10,7 @@ from adaptrack.cars.vehicle import SteeringActuator, list_tyres, load_tyre, load
 from adaptrack.core.plants.parameters import unpack
 from adaptrack.core.plants.tyre import (
     CURVED_MAGIC_FORMULA,
-    LINEAR,
+    LINEAR_TYRE,
     MAGIC_FORMULA,
     friction_ellipse,
     lateral_force,
@@ -62,7 +62,7 @@ def friction_force(tyre, load, friction):
 def test_each_law_is_chosen_by_its_parameters():
     laws = {name: tyre_law(tyre.kind == "linear", tyre.curvature) for name, tyre in TYRES.items()}
     curved = dict.fromkeys(("small-car", "curved"), CURVED_MAGIC_FORMULA)
-    assert laws == dict.fromkeys(TYRES, MAGIC_FORMULA) | {"constant-stiffness": LINEAR} | curved
+    assert laws == dict.fromkeys(TYRES, MAGIC_FORMULA) | {"constant-stiffness": LINEAR_TYRE} | curved
 
 
 def test_the_slope_at_the_origin_is_the_cornering_stiffness(tyre, force):

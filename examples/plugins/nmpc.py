@@ -25,16 +25,15 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, in_periods
+from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, split_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
-from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.controllers.informed import HORIZON_DURATION, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.control.controllers.registry import register_controller
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.public import path_model
-from adaptrack.core.synthesis.tuning import HORIZON
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile
 from known_car import KnownCar
@@ -111,7 +110,7 @@ class NMPC(Controller):
         q_e: float = 1.0,
         q_course: float = 0.0,
         R: float | None = None,
-        horizon: float = HORIZON,
+        horizon: float = HORIZON_DURATION,
         iterations: int = 1,
         period: float | None = None,
         limits: LimitsArgument | None = None,
@@ -136,9 +135,9 @@ class NMPC(Controller):
         if not isinstance(self.limits, Limits):
             raise InvalidInput(f"NMPC: limits = {limits!r}: must be Limits(move=(low, high), angle=(low, high)).")
         self.preview = self.car.profile.preview if preview is None else bool(preview)
-        self._dead = in_periods(self.car.belief.delay, self.period)
+        self._dead = split_periods(self.car.belief.delay, self.period)
         self._model = PathModel(self.car.vehicle, self.period, self.car.belief.lag.value, self.car.belief.delay)
-        self._filter = KalmanFilter.of_profile(self.car.profile)
+        self._filter = KalmanFilter.from_profile(self.car.profile)
         self._prepare()
         self.reset()
 

@@ -12,15 +12,13 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.synthesis import car as kernel
+from adaptrack.core.synthesis.car import MASSES, WHEELBASES
 from adaptrack.core.synthesis.rows import row_of
 
 DRIVER = 75.0
 """kg, driver in the mass in running order (Regulation (EU) No 1230/2012)."""
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
-
-MASSES, WHEELBASES = kernel.MASSES, kernel.WHEELBASES
-"""kg, m: beyond these the measurements say nothing."""
 BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
 _ESTIMATED = (
@@ -67,7 +65,7 @@ def vehicle_from_data_sheet(
         hint = did_you_mean(str(body_style), BODY_STYLES)
         raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
     arms = {key: real("vehicle_from_data_sheet", key, known.pop(key)) for key in ("lf", "lr") if key in known}
-    made, within = row_of(kernel.Car, mass=mass, **arms), row_of(kernel.KnownWithin)
+    made, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
     status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), made, within)
     if status == kernel.TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
@@ -80,7 +78,7 @@ def vehicle_from_data_sheet(
     estimates = {key: float(made[key]) for key in _ESTIMATED}
     known |= {key: estimates[key] for key in ("lf", "lr") if arms}
     guessed = [key for key in estimates if key not in known]
-    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithin._fields and key != "lr"}
+    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithinRow._fields and key != "lr"}
     known.setdefault("known_within", KnownWithin(**spreads))
     known.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
     guessed += [

@@ -28,7 +28,7 @@ from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.plants import dual_track, single_track
-from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
+from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_INPUTS, PLANT_STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
 from adaptrack.core.synthesis import plant as kernel
 
@@ -174,12 +174,12 @@ class _Car(Plant):
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
-        state = np.zeros(STATES)
+        state = np.zeros(PLANT_STATES)
         state[:n] = _vector("x", x, n)
-        inputs = np.zeros(INPUTS)
-        inputs[[INPUT.command, INPUT.force, INPUT.acceleration]] = _input(u)
-        inputs[INPUT.friction_front_left :] = _environment(environment)
-        slope = np.empty(STATES)
+        inputs = np.zeros(PLANT_INPUTS)
+        inputs[[PLANT_INPUT.command, PLANT_INPUT.force, PLANT_INPUT.acceleration]] = _input(u)
+        inputs[PLANT_INPUT.friction_front_left :] = _environment(environment)
+        slope = np.empty(PLANT_STATES)
         self.compiled.right_hand_side(state, inputs, self._with_ideal_steering, slope)
         return slope[:n]
 

@@ -21,19 +21,18 @@ from adaptrack.base.shown import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import Outline
+from adaptrack.core.kernel import OK
+from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
 from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES
-from adaptrack.core.synthesis.filter import in_periods as in_periods
+from adaptrack.core.synthesis.filter import split_periods as split_periods
 from adaptrack.core.synthesis.rows import row_of
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-GRAVITY = 9.80665
-"""Standard acceleration of free fall (m/s^2), as in the kernels."""
 
 FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
@@ -106,14 +105,18 @@ class Tyre(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the tyre, `core.synthesis.plant.Tyre`."""
+        """Kernel record of the tyre, `core.synthesis.plant.TyreRow`."""
         return row_of(
-            kernel.Tyre, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
+            kernel.TyreRow, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
             shape_factor=self.shape,
         )  # fmt: skip
 
 
-_LOAD_LAWS = {"constant": kernel.CONSTANT, "linear": kernel.LINEAR, "digressive": kernel.DIGRESSIVE}
+_LOAD_LAWS = {
+    "constant": kernel.CONSTANT_STIFFNESS,
+    "linear": kernel.LINEAR_STIFFNESS,
+    "digressive": kernel.DIGRESSIVE_STIFFNESS,
+}
 
 
 class SteeringActuator(Record):
@@ -199,8 +202,8 @@ class Body(Record):
 
     @property
     def numbers(self) -> Any:
-        """A row of `core.synthesis.plant.Body`."""
-        return row_of(kernel.Body, self)
+        """A row of `core.synthesis.plant.BodyRow`."""
+        return row_of(kernel.BodyRow, self)
 
 
 class Vehicle(Record):
@@ -299,7 +302,7 @@ class Vehicle(Record):
                 "is allowed). Give the mass in kg, lengths in m, the inertia in kg m^2; with another mass the inertia "
                 "changes too."
             )
-        if flaw != car.ONE_CAR:
+        if flaw != OK:
             axle, load = ("front", "rear")[flaw - car.FRONT_ODD], self.static_loads[flaw - car.FRONT_ODD]
             raise ValueError(
                 f"stiffness_{axle} = {getattr(self, f'stiffness_{axle}'):g} N/rad is {ratio:.3g} times the load of its "
@@ -311,7 +314,7 @@ class Vehicle(Record):
     @property
     def outline(self) -> Outline:
         """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
-        body, found = self.body or Body(), row_of(kernel.Outline)
+        body, found = self.body or Body(), row_of(kernel.OutlineRow)
         kernel.outline_of(body.numbers, self.chassis, found)
         known = {
             "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
@@ -328,8 +331,8 @@ class Vehicle(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the car for controller synthesis, `core.synthesis.car.Car`."""
-        return row_of(car.Car, self)
+        """Kernel record of the car for controller synthesis, `core.synthesis.car.CarRow`."""
+        return row_of(car.CarRow, self)
 
     @property
     def chassis(self) -> Any:

@@ -6,13 +6,14 @@ a search finds with noise of its own; all costs, the optimum's too, are then mea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.outline import Outline
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.measures import as_cells, measure_runs
@@ -23,12 +24,10 @@ from adaptrack.drive.world import World
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import Retuned, RunSet
 
-Progress = Callable[[str, int, int], None]
-
 
 def compare(
     runs: RunSet, contenders: Iterable[Contender], seeds: Sequence[int], reference: str, where: ArrayLike | None = None,
-    progress: Progress | None = None, *, outline: Outline | None = None,
+    progress: ProgressCall | None = None, *, outline: Outline | None = None,
 ) -> Comparison:  # fmt: skip
     """Drive every contender over the runs with each of the noise seeds.
 

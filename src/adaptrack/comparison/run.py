@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from adaptrack import __version__
 from adaptrack.base.errors import StorageError
 from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.cells import columns, run_cell
 from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, load_setting
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.core.library import kernels_hash
 from adaptrack.tuning.constant_file import load_tuning
-
-Progress = Callable[[str, int, int], None]
 
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of the preferred reference of all ratios; without them the first contender."""
@@ -101,7 +100,7 @@ class Compared:
 
 
 def run_comparison(
-    task: ComparisonConfig, out: str | os.PathLike[str] | None = None, *, progress: Progress | None = None
+    task: ComparisonConfig, out: str | os.PathLike[str] | None = None, *, progress: ProgressCall | None = None
 ) -> Compared:
     """Drive a comparison; with a folder, cells that are there with the same identity are read, not driven again.
 

@@ -227,7 +227,7 @@ class Batch:
                 f"{', '.join(slow)}: many runs need functions of one's own compiled, which numba does: python -m pip "
                 "install 'adaptrack[compile]'; without it simulate(...) and `adaptrack drive` call them in Python."
             )
-        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.in_kernel)
+        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.runs_in_kernel)
         scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
         if not (fit and scheduled and isinstance(self.world.plant, Plant)):
             raise InvalidInput(
@@ -271,7 +271,7 @@ class Batch:
         self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None,
     ) -> Any:  # fmt: skip
-        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`core.rollout.Run`).
+        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`core.rollout.RunRecord`).
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
@@ -300,7 +300,7 @@ class Batch:
         )
         features = loop.features._replace(law=isinstance(controller, CompiledController))
         loop = loop._replace(features=features, measured=mpc.measured)
-        return rollout.Run(
+        return rollout.RunRecord(
             *loop,
             mpc=mpc,
             functions=functions,
@@ -379,7 +379,7 @@ class Batch:
         return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
-        """Drive the runs of one chunk; the `core.rollout.Run` that they leave.
+        """Drive the runs of one chunk; the `core.rollout.RunRecord` that they leave.
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
@@ -395,7 +395,7 @@ class Batch:
         run.vehicles.start[:], run.tuning[:] = self.starts[run_indices], plan.tunings[chunk]
         place = Resident(run)
         rollout.begin(size, place)
-        rollout.rollout(period_kernel.Span(n, size, plan.segment, plan.weight), place)
+        rollout.rollout(period_kernel.RunSpan(n, size, plan.segment, plan.weight), place)
         return run
 
 

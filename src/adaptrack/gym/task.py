@@ -22,7 +22,7 @@ from adaptrack.identification.random_cars import BASES
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
-SEEDS = 2**31
+SEED_LIMIT = 2**31
 """Seeds of noise and cars are drawn below it."""
 CHOICES = ("noise_seed", "car_seed", "road")
 """What ``reset(options={...})`` may choose for an episode."""
@@ -142,8 +142,8 @@ class Task:
         return self._episode(drawn)
 
     def _most(self) -> dict[str, int]:
-        cars = {"car_seed": SEEDS} if self.randomised else {}
-        return {"road": len(self.roads), **cars, "noise_seed": SEEDS}
+        cars = {"car_seed": SEED_LIMIT} if self.randomised else {}
+        return {"road": len(self.roads), **cars, "noise_seed": SEED_LIMIT}
 
     def _episode(self, drawn: dict[str, int]) -> Episode:
         road_index, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.tracker.records import ACROSS
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.identification.log import LEAST_GAP, Log, log_of
 from adaptrack.identification.reading import Columns, Reading, read_columns
@@ -78,10 +78,10 @@ class ReadLog:
                 _at(grid, t, values[i:j], period)
                 for values in (log.speed, log.yaw, log.vy, log.yaw_rate, log.wheel, log.acceleration)
             )
-            measured = np.zeros((grid.size, len(MEASURED)))
-            measured[:, [MEASURED.yaw, MEASURED.y]] = math.nan
+            measured = np.zeros((grid.size, len(MEASUREMENT)))
+            measured[:, [MEASUREMENT.yaw, MEASUREMENT.y]] = math.nan
             for name, values in zip(("vy", "yaw_rate", "wheel_angle", "lateral_acceleration"), motion, strict=True):
-                measured[:, getattr(MEASURED, name)] = values
+                measured[:, getattr(MEASUREMENT, name)] = values
             command = log.command[i:j][np.searchsorted(t, grid + ON_GRID * period, side="right") - 1]
             before = self.before if i == 0 and self.before is not None else float(command[0])
             made = Samples(grid, speed, command, before, measured)
@@ -137,7 +137,7 @@ class Samples:
     before: float
     """rad, the command before the first"""
     measured: Array
-    """(n, .) by `MEASURED`; yaw and y against the path"""
+    """(n, .) by `MEASUREMENT`; yaw and y against the path"""
     path: Road | None = None
     station: Array | None = None
     """(n,) m, of the feet on the path"""
@@ -150,15 +150,15 @@ class Samples:
             return self
         measured, station, period = self.measured.copy(), np.zeros(x.size), float(self.time[1] - self.time[0])
         course = np.where(np.isfinite(yaw), yaw, np.arctan2(np.gradient(y), np.gradient(x)))
-        near = foot_of_car(path, x[begin], y[begin], float(np.nan_to_num(course[begin])), ACROSS)
+        near = foot_of_car(path, x[begin], y[begin], float(np.nan_to_num(course[begin])), ACROSS_PENALTY)
         for k in range(x.size):
             foot = foot_near(path, x[k], y[k], near)
             if math.isfinite(foot.offset):
-                near, measured[k, MEASURED.y] = float(foot.s), float(foot.offset)
-                measured[k, MEASURED.yaw] = math.remainder(yaw[k] - float(foot.heading), 2.0 * math.pi)
+                near, measured[k, MEASUREMENT.y] = float(foot.s), float(foot.offset)
+                measured[k, MEASUREMENT.yaw] = math.remainder(yaw[k] - float(foot.heading), 2.0 * math.pi)
             station[k], near = near, near + self.speed[k] * period
         heading = path.at(station).heading
-        measured[:, MEASURED.turned] = np.diff(heading, prepend=heading[0])
+        measured[:, MEASUREMENT.turned] = np.diff(heading, prepend=heading[0])
         return replace(self, measured=measured, path=path, station=station)
 
     def left(self, k: int) -> float:

@@ -50,21 +50,21 @@ class Likelihood:
         self.log, self.car = log, car
         self.median = np.array([beliefs[each.name].median for each in QUANTITIES])
         self.spread = np.array([beliefs[each.name].spread for each in QUANTITIES])
-        rows = np.zeros((len(kernel.ROW), log.samples))
+        rows = np.zeros((len(kernel.LOG_ROW), log.samples))
         for name in ("time", "command", "speed", *OUTPUTS):
-            rows[kernel.ROW._fields.index(name)] = getattr(log, name)
+            rows[kernel.LOG_ROW._fields.index(name)] = getattr(log, name)
         if not log.commanded:
-            rows[kernel.ROW.command] = _smoothed(log)
-        rows[kernel.ROW.begins] = log.begins
-        rows[kernel.ROW.used] = 1.0 if used is None else used
+            rows[kernel.LOG_ROW.command] = _smoothed(log)
+        rows[kernel.LOG_ROW.begins] = log.begins
+        rows[kernel.LOG_ROW.used] = 1.0 if used is None else used
         self._rows = rows
-        self._answer = np.empty((kernel.ANSWER, log.samples))
-        rows[kernel.ROW.gusts] = 1.0
+        self._answer = np.empty((kernel.IDENTIFICATION_ANSWER, log.samples))
+        rows[kernel.LOG_ROW.gusts] = 1.0
         present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
         self.present = {name: bool(here) for name, here in zip(OUTPUTS, present, strict=True)}
         settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
-        counts = (rows[kernel.ROW.used] > 0.0) & (settled >= SETTLING)
-        measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(OUTPUTS)])
+        counts = (rows[kernel.LOG_ROW.used] > 0.0) & (settled >= SETTLING)
+        measured = np.isfinite(rows[kernel.LOG_ROW.yaw_rate : kernel.LOG_ROW.yaw_rate + len(OUTPUTS)])
         self.counts = measured & counts
         self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())
 
@@ -119,7 +119,7 @@ class Likelihood:
 
     def take_gusts(self, other: Likelihood) -> None:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
-        self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
+        self._rows[self._kernel.LOG_ROW.gusts] = other._rows[self._kernel.LOG_ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
 
     def widen_gusts(self, z: Array) -> Array:
@@ -141,7 +141,7 @@ class Likelihood:
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
         power = _window_mean(time, change**2, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
-        self._rows[self._kernel.ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
+        self._rows[self._kernel.LOG_ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
 
     @property
     def beliefs(self) -> dict[str, Prior]:
@@ -155,7 +155,7 @@ class Likelihood:
         begins[0] = True
         signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
         each = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
-        each._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
+        each._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts, rows]
         return each
 
     def counted(self, z: Array) -> tuple[Array, Array]:

@@ -26,10 +26,12 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
 from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
-from adaptrack.control.controllers.learned import LEAST_LAG, MIDDLE, UNKNOWN_CAR
+from adaptrack.control.controllers.learned import UNKNOWN_CAR
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators import learning as kernel
-from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.estimators.learning import SHORTEST_LAG
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.instants import LogSource, ReadLog, Samples
 from adaptrack.identification.loop_check import check_loop
@@ -98,7 +100,7 @@ class ShadowLog:
     proposed: Array
     """(n,) rad, of the controller, one step from where the driver has brought the car; NaN without a path"""
     beliefs: Mapping[str, Array]
-    """(n,) each, by the names of `core.estimators.learning.BELIEFS`"""
+    """(n,) each, by the names of `core.estimators.learning.BELIEF_NAMES`"""
     measured: Mapping[str, Array]
     """(n,) yaw_rate (rad/s) and y (m)"""
     predicted: Predicted
@@ -205,7 +207,7 @@ def shadow(
     commanded = all(each.log.commanded for each in read)
     said = vehicle.steering if commanded else None  # a measured wheel is behind the steering
     if uncertainty is None and not commanded:
-        uncertainty = replace(UNKNOWN_CAR, lag=max(UNKNOWN_CAR.lag, MIDDLE[0] - LEAST_LAG))
+        uncertainty = replace(UNKNOWN_CAR, lag=max(UNKNOWN_CAR.lag, PUBLISHED_MEDIAN[0] - SHORTEST_LAG))
     if belief is None and (said is None or (said.lag is None and said.dead_time is None)):
         belief = UNKNOWN
     mpc = MPC(vehicle, profile=world, belief=belief, uncertainty=uncertainty, learning=learning or Learning())
@@ -269,8 +271,8 @@ def _gone_through(
         beliefs, ours, first, proposed = _watched(samples, observers, tell)
         gone.append(
             {"time": samples.time, "command": samples.command, "proposed": proposed, "left out": ours[:, LEFT_OUT]}
-            | {name: samples.measured[:, getattr(MEASURED, name)] for name in QUANTITIES}
-            | dict(zip(kernel.BELIEFS, beliefs.T, strict=True))
+            | {name: samples.measured[:, getattr(MEASUREMENT, name)] for name in QUANTITIES}
+            | dict(zip(kernel.BELIEF_NAMES, beliefs.T, strict=True))
             | predicted(samples, ours, first, mpc, tell)
         )
         done += samples.time.size
@@ -332,7 +334,7 @@ def _judged(
     doubts += [f"{words} predicts the yaw rate better" for name, words in SIMPLER.items() if name in better]
     return ShadowLog(
         source=read.name, time=time, command=found["command"], proposed=found["proposed"],
-        beliefs={name: found[name] for name in kernel.BELIEFS}, measured=measured, predicted=expected,
+        beliefs={name: found[name] for name in kernel.BELIEF_NAMES}, measured=measured, predicted=expected,
         predictions=predictions, warnings=(*contradictions, *_spans(contradictory | bounds | silent, time, mpc.period)),
         doubts=tuple(doubts), bounds=tuple(_held(bounds, late, 0.5)), notes=(*read.log.notes, *beside),
         before=first.learner.learned(first.known),

@@ -23,8 +23,8 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.estimators import kalman
 from adaptrack.core.estimators import learning as kernel
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.models.path import STATES, discretise_disturbed
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.instants import Samples
 
@@ -37,7 +37,7 @@ PREDICTORS = ("learned", "held", "first", "steady")
 QUANTITIES = ("yaw_rate", "y")
 EVERY = 0.1
 """s, at least, between the instants from which is predicted."""
-_STATE, _N = kalman.STATE, len(kalman.STATE)
+_STATE, _N = kalman.FILTER_STATE, len(kalman.FILTER_STATE)
 _MODEL = slice(_N + 1, _N + 8)
 _WHOLE, _SHARE, _BIAS, LEFT_OUT = range(_N + 8, _N + 12)
 """Places in `Observer.now`, behind the states of the filter and the saturation."""
@@ -59,7 +59,7 @@ class Observer:
 
     def restart(self) -> None:
         """Before the first sample of a drive; what was learned stays."""
-        self.memory, self.known = np.zeros(self.size), self.learner.again(self.known)
+        self.memory, self.known = np.zeros(self.size), self.learner.restart_memory(self.known)
 
     def take(self, speed: float, measured: Array, command: float) -> None:
         """An instant: speed (m/s), what is measured, the command (rad) that was applied since the last one.
@@ -67,7 +67,7 @@ class Observer:
         As `core.controllers.informed` lets a controller take it.
         """
         if self.learns:
-            left_out = int(kalman.memory_of(self.memory, 0).left_out)
+            left_out = int(kalman.memory_of(self.memory, 0).excluded)
             kernel.learn(speed, measured, command, left_out, self.learning, self.known)
             if not np.isfinite(self.beliefs).all():
                 self.known = self.learner.fresh()
@@ -78,12 +78,12 @@ class Observer:
     @property
     def beliefs(self) -> Array:
         """By `BELIEFS`."""
-        return self.known[kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]
+        return self.known[kernel.BELIEFS_OFFSET : kernel.BELIEFS_OFFSET + len(kernel.BELIEF_NAMES)]
 
     def now(self) -> Array:
         """What is predicted from: z, saturation, the model, dead time in periods, bias; then the sensor left out."""
         m, p = kalman.memory_of(self.memory, 0), kalman.parameters_of(self.filter, 0)
-        return np.array([*m.z, m.saturation, *self.car, p.whole, p.share, p.bias, m.left_out])
+        return np.array([*m.z, m.saturation, *self.car, p.periods, p.share, p.bias, m.excluded])
 
 
 def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
@@ -115,20 +115,20 @@ def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Calla
 
 def _roll(z: Array, samples: Samples, k: Places, now: Array, period: float) -> None:
     """Move states z (m, .) from the instants k (m,) on by a period, with the commands that act behind the dead time."""
-    f, b, u = np.zeros((k.size, STATES, _N)), np.zeros((k.size, _N)), samples.command
+    f, b, u = np.zeros((k.size, PATH_STATES, _N)), np.zeros((k.size, _N)), samples.command
     for i, speed in enumerate(samples.speed[k].tolist()):
         discretise_disturbed(speed, period, now[i, _MODEL], f[i], b[i])
     newer, share = k - now[:, _WHOLE].astype(np.int64), now[:, _SHARE]
     command = (1.0 - share) * u[np.maximum(newer, 0)] + share * u[np.maximum(newer - 1, 0)] + now[:, _BIAS]
-    z[:, :STATES] = np.einsum("kij,kj->ki", f, z) + b[:, :STATES] * command[:, None]
-    turned = samples.measured[k + 1, MEASURED.turned]
+    z[:, :PATH_STATES] = np.einsum("kij,kj->ki", f, z) + b[:, :PATH_STATES] * command[:, None]
+    turned = samples.measured[k + 1, MEASUREMENT.turned]
     z[:, _STATE.yaw] -= turned
     z[:, _STATE.y] -= 0.5 * samples.speed[k] * period * turned
 
 
 def _carry(z: Array, samples: Samples, k: Places, period: float) -> None:
     """The same of heading and offset alone, by the lateral velocity and the yaw rate in z."""
-    turned = period * z[:, _STATE.yaw_rate] - samples.measured[k + 1, MEASURED.turned]
+    turned = period * z[:, _STATE.yaw_rate] - samples.measured[k + 1, MEASUREMENT.turned]
     z[:, _STATE.y] += period * (z[:, _STATE.vy] + samples.speed[k] * (z[:, _STATE.yaw] + 0.5 * turned))
     z[:, _STATE.yaw] += turned
 

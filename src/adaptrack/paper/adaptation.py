@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -23,6 +23,7 @@ from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import loop_map
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.progress import ProgressCall
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     Constant,
@@ -50,8 +51,6 @@ from adaptrack.tuning.runs import Indices, RunSet
 Array = NDArray[np.float64]
 Schedules = Mapping[str, Schedule]
 """By contender, see `CONTENDER_NAMES`; schedules of other origin by another name."""
-Progress = Callable[[str, int, int], None]
-"""Called with the name of the work, the steps done and their number."""
 
 CONTENDER_NAMES = ("fallback", "best constant", "best constant on drives", "look-up", "nn", "anfis")
 """The schedules of an adaptation, in the order in which they are made: a domain without a fallback is refused first."""
@@ -104,7 +103,7 @@ networks failed in 35 without the offset limit and in 8 with 0.06 s^2, at the sa
 @checked
 def adapt(
     campaign: CampaignConfig, out: str | os.PathLike[str], *, workers: int | None = None, effort: Effort | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCall | None = None,
 ) -> dict[str, Schedule]:  # fmt: skip
     """Run a campaign and learn its schedules in a folder, or resume there; by contender, see `CONTENDER_NAMES`.
 
@@ -196,7 +195,7 @@ class Makers:
     folder: Path
     """of the campaign"""
     workers: int | None
-    show: Progress
+    show: ProgressCall
 
     def make(self, contender: str, schedules: Schedules) -> Schedule:
         """The schedule of a contender; schedules: those before it in `CONTENDER_NAMES`."""
@@ -316,14 +315,14 @@ def safe_candidates(stability: StabilityMap) -> Array:
     InvalidInput
         When there is none, with the largest domain that one of them holds.
     """
-    loops = Feasibility.of_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
+    loops = Feasibility.from_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
     loops = loops.among(loops.tunings[:, 3] >= 10.0**FALLBACK_RATIO)
     far = loops.enough.all(axis=(0, 1))
     if far.any():
         return loops.tunings[far]
     message = (
         f"no constant tuning keeps the loop away from instability (modulus margin {loops.least:g}) over the whole "
-        f"domain of {loops.whole}"
+        f"domain of {loops.requested}"
     )
     if loops.constant is None:
         raise InvalidInput(f"{message}, nor at any point of it: choose another car or profile.")

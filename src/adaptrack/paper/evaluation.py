@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.drive.metrics import PUBLISHED
-from adaptrack.paper.adaptation import ANYWHERE, Progress, Schedules
+from adaptrack.paper.adaptation import ANYWHERE, Schedules
 from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
@@ -46,7 +47,7 @@ CHOICE_NOISE = tuple(range(810_001, 810_009))
 
 def evaluate_on_operating_points(
     task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
-    known_as: Sequence[str] = ("exact",), progress: Progress | None = None,
+    known_as: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` Sobol points of the campaign's box, for each way of knowing friction and wind (see `perception`).
 
@@ -75,7 +76,7 @@ def evaluate_on_operating_points(
 
 def evaluate_on_drives(
     task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
-    known_as: Sequence[str] = ("exact",), progress: Progress | None = None,
+    known_as: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
     numbers = evaluation_drives(count, seed)
@@ -147,7 +148,7 @@ def _driven(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
 
 
 def find_optimum(
-    task: LearningTask, plant: Plant, points: Array, seed: int, constants: Array, progress: Progress | None = None
+    task: LearningTask, plant: Plant, points: Array, seed: int, constants: Array, progress: ProgressCall | None = None
 ) -> Array:
     """(n, 4) the best tuning of each operating point (n, 4).
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.analysis.certify import DRIVING, Certificate, Driving, Sweep, extremes
+from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep, extremes
 from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import (
     SERIES,
@@ -87,7 +87,7 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
     maps = [
         _margin_maps(certificate, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
                      getattr(sweep, driving))
-        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING
+        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING_CASES
     ]  # fmt: skip
     mismatched = certificate.mismatched or {}
     return Result(
@@ -129,7 +129,7 @@ def _console_tables(certificate: Certificate) -> list[ResultTable]:
     sweeps = [(certificate.guarded is not None, certificate.counted)]
     sweeps += [(False, certificate.bare)] if certificate.guarded is not None else []
     tables = []
-    for driving in DRIVING:
+    for driving in DRIVING_CASES:
         points = [
             {"guard": on, **point} for on, sweep in sweeps for point in certificate.worst_points(5, sweep, driving)
         ]
@@ -145,7 +145,7 @@ def _console_tables(certificate: Certificate) -> list[ResultTable]:
 def _margin_tables(certificate: Certificate) -> list[ResultTable]:
     rows = [
         _extremes(name, getattr(sweep, driving)) | {"driving": _NAMES[driving]}
-        for driving in DRIVING for name, sweep in _sweeps(certificate)
+        for driving in DRIVING_CASES for name, sweep in _sweeps(certificate)
     ]  # fmt: skip
     title = "The worst of every margin, over all points"
     tables = [ResultTable("margins", title, MARGIN_COLUMNS, rows, group="driving", alert=_unstable(rows))]
@@ -188,7 +188,7 @@ def _worst(certificate: Certificate) -> ResultTable:
     rows = [
         _point(point) | {"part": f"{name}, {_NAMES[driving].lower()}"}
         for name, sweep in _sweeps(certificate)
-        for driving in DRIVING
+        for driving in DRIVING_CASES
         for point in certificate.worst_points(_WORST, sweep, driving)
     ]
     unstable = where(rows, ["radius"], lambda row: row["radius"] >= 1.0)

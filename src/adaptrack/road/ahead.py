@@ -29,7 +29,7 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
         if not known:
             kept.append(road)
         of[i] = known[0] if known else len(kept) - 1
-    numbers = np.zeros((len(kept), len(kernel.NUMBERS)))
+    numbers = np.zeros((len(kept), len(kernel.LINE_NUMBERS)))
     parts: tuple[list[Array], list[Array], list[Array]] = [], [], []
     places = np.zeros(3)
     for k, road in enumerate(kept):
@@ -40,7 +40,7 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
         places += [each.shape[0] for each in own]
         for found, each in zip(parts, own, strict=True):
             found.append(each)
-    none = np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0)
+    none = np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0)
     joined = (
         found[0] if len(found) == 1 else np.concatenate([empty, *found])
         for empty, found in zip(none, parts, strict=True)
@@ -98,8 +98,8 @@ class RoadAhead:
 
     @property
     def packed(self) -> Any:
-        """The centre line, the foot and the speeds, `core.road.RoadAhead`."""
-        return kernel.RoadAhead(self.road.packed(), self.station, self.speeds)
+        """The centre line, the foot and the speeds, `core.road.RoadAheadRecord`."""
+        return kernel.RoadAheadRecord(self.road.packed(), self.station, self.speeds)
 
     def bend(self, count: int, speed: float, delay: float, period: float) -> Array:
         """(count,) m, how far the road lies to the left of its tangent here: after `delay` periods, then every period.
@@ -122,6 +122,6 @@ class RoadAhead:
 
 @cache
 def straight() -> Any:
-    """`core.road.RoadAhead` of a straight road."""
-    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0))
-    return kernel.RoadAhead(line, 0.0, np.zeros(0))
+    """`core.road.RoadAheadRecord` of a straight road."""
+    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0))
+    return kernel.RoadAheadRecord(line, 0.0, np.zeros(0))

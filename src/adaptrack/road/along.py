@@ -57,7 +57,7 @@ class Along(Record):
 
     def packed(self) -> Any:
         """The record that `adaptrack.core.planning` reads."""
-        return kernel.Along(np.array(self.s), np.array(self.value), int(self.kind == "steps"))
+        return kernel.AlongRecord(np.array(self.s), np.array(self.value), int(self.kind == "steps"))
 
     def at(self, s: ArrayLike) -> Array:
         """The values at the arc lengths `s` (m), in the shape of `s`."""

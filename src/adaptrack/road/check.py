@@ -15,7 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
-from adaptrack.road.speed import FLAT, SpeedPlan, unlimited
+from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, unlimited
 
 SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""
@@ -220,14 +220,14 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     """Where the curvature swings to and fro, moves the line by no more than noise would, and slows the plan."""
     s = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
     heading, curvature = road.at(s)[2:]
-    moving = np.flatnonzero(np.abs(np.diff(curvature)) > FLAT)
+    moving = np.flatnonzero(np.abs(np.diff(curvature)) > STRAIGHT_CURVATURE)
     turns = moving[1:][np.diff(np.sign(np.diff(curvature)[moving])) != 0.0]  # from one extremum to the next a swing
     if turns.size <= SWINGS:
         return
     half, swing, first = np.diff(s[turns]), 0.5 * np.abs(np.diff(curvature[turns])), s[turns[:-1]]
     speed = np.minimum(plan.at(first), plan.at(s[turns[1:]]))
     allowed = np.minimum(plan.comfort.lateral, plan.comfort.grip_share * road.along("friction", first) * GRAVITY)
-    straight = np.maximum(np.abs(np.diff(heading[turns])) / half, FLAT)
+    straight = np.maximum(np.abs(np.diff(heading[turns])) / half, STRAIGHT_CURVATURE)
     calm = np.minimum(np.sqrt(allowed / straight), np.minimum(road.along("speed_limit", first), plan.speed.max()))
     felt = np.maximum(speed**2 * swing / allowed, 2.0 * speed**3 * swing / half / plan.comfort.lateral_jerk) > FELT
     small = swing * (half / math.pi) ** 2 < max(RIPPLE, 0.5 * road.deviation)

@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.core.path import FEWEST
+from adaptrack.core.path import MIN_PATH_POINTS
 from adaptrack.road.along import NO_LIMIT
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
@@ -129,7 +129,7 @@ def _middle(chain: list[Any], limits: list[float | None]) -> tuple[Array, dict[s
         own = np.column_stack([0.5 * (left + right), half, limit])
         rows.append(own if lanelet is chain[-1] else own[:-1])
     table = np.concatenate(rows)
-    while len(table) < FEWEST:  # a short straight lanelet
+    while len(table) < MIN_PATH_POINTS:  # a short straight lanelet
         table = np.insert(table, range(1, len(table)), 0.5 * (table[1:] + table[:-1]), axis=0)
     x, y, width, limit = table.T.copy()
     values = {"width_left": width, "width_right": width.copy()}

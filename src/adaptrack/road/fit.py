@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import path
-from adaptrack.core.path import FEWEST, WIDEST
+from adaptrack.core.kernel import OK
+from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.road import MOST_CURVATURE, project_all
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.road import Road
@@ -154,7 +155,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     InvalidInput
         When points are too few, not finite, or fold back on themselves.
     """
-    points = _check_points("road_through", points, path.SHORTEST)
+    points = _check_points("road_through", points, path.MIN_PATH_LENGTH)
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
@@ -162,7 +163,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         if status != path.TOO_SMALL:
             break
         size *= 2
-    if status != path.OK:
+    if status != OK:
         raise InvalidInput(f"road_through: {_FLAWS[status].format(place, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
@@ -189,9 +190,10 @@ def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
 
 _FLAWS = {
     path.TOO_FEW: "{} points lie apart from each other: at least 4 are needed.",
-    path.TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
+    path.POINT_TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
     path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
-    path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",
+    path.PATH_KINK: "the points fold back on themselves behind point {}: "
+    "no smooth road goes through them; use fit_road.",
 }
 """Messages on points that `_check_points` lets pass."""
 
@@ -224,8 +226,10 @@ def _stretch(along: Along | None, factor: float) -> Along | None:
 
 def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
     points = reals(f"{where}: points", points).copy()
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
-        raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < MIN_PATH_POINTS:
+        raise InvalidInput(
+            f"{where}: points have shape {points.shape}; give (n, 2) with n >= {MIN_PATH_POINTS}, x and y in m."
+        )
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise InvalidInput(f"{where}: point {row} is not finite; leave it out.")

@@ -17,7 +17,7 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import printable
-from adaptrack.core.road import HALF
+from adaptrack.core.road import HALF_LENGTH
 from adaptrack.road.along import NO_LIMIT, Along
 from adaptrack.road.segments import Array
 from adaptrack.road.table import Pieces, cubic_line, of_pieces
@@ -368,7 +368,7 @@ def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[
     law = np.maximum(np.searchsorted(starts, middle, "right") - 1, 0)
     ends = []
     for end in (s[:-1], s[1:]):
-        points = of_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF] - 1.0)
+        points = of_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF_LENGTH] - 1.0)
         offset, slope = _shifted(rows[law].T, end - np.array(starts)[law])[:2]
         ahead, normal = 1.0 - offset * points.curvature, 1j * np.exp(1j * points.heading)
         for k in np.flatnonzero(~(ahead > 0.0))[:1]:

@@ -14,7 +14,7 @@ import numpy as np
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.base.limits import SPEED
-from adaptrack.core.path import FEWEST
+from adaptrack.core.path import MIN_PATH_POINTS
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
@@ -115,8 +115,8 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     """
     where = os.fspath(path)
     header, rows = _split(where, _text(path))
-    if len(rows) < FEWEST:
-        raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {FEWEST} points.")
+    if len(rows) < MIN_PATH_POINTS:
+        raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {MIN_PATH_POINTS} points.")
     names = _names(header, len(rows[0][1]), speed_column)
     numbers = np.empty((len(rows), len(names)))
     for k, (line, cells) in enumerate(rows):

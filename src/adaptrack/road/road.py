@@ -32,7 +32,7 @@ HALF_LANE = Along.constant(1.75)
 DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
 """Friction, as in the scenarios, and bank where nothing is said."""
 AT_ORIGIN = Pose()
-_NO_LIMIT = along_kernel.Along(np.zeros(0), np.zeros(0), 0)
+_NO_LIMIT = along_kernel.AlongRecord(np.zeros(0), np.zeros(0), 0)
 
 
 class Jump(NamedTuple):

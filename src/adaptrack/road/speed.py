@@ -25,7 +25,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core import speed_plan as plan_kernel
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
-from adaptrack.core.planning.speed import FLAT as FLAT
+from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATURE
 from adaptrack.road.cornering import cornering_limit, packed, steering_limit
 from adaptrack.road.holdable import HoldableSpeed, highest
 from adaptrack.road.road import Road
@@ -70,7 +70,7 @@ class Limit(StrEnum):
     JERK = "jerk"
 
 
-_LIMITS = tuple(Limit[name.upper()] for name in kernel.LIMIT._fields)
+_LIMITS = tuple(Limit[name.upper()] for name in kernel.SPEED_LIMIT._fields)
 
 
 class Stretch(NamedTuple):
@@ -163,7 +163,7 @@ class SpeedPlan:
     def packed(self) -> Any:
         """The plan as the record that `adaptrack.core` reads; read-only."""
         rows = (np.ascontiguousarray(each) for each in (self.s, self.speed, self.time))
-        return plan_kernel.SpeedPlan(*rows, self.duration, int(self.closed))
+        return plan_kernel.SpeedPlanRecord(*rows, self.duration, int(self.closed))
 
 
 @checked
@@ -258,7 +258,7 @@ def _bounds(
     top_speed: float | None = None, spacing: float = SPACING,
 ) -> Any:  # fmt: skip
     """Return the bounds of a plan besides road and powertrain, for the kernels."""
-    return kernel.Bounds(
+    return kernel.SpeedBounds(
         **comfort.model_dump(),
         start=math.nan if start is None else start,
         end=math.nan if end is None else end,

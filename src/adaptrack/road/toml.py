@@ -31,9 +31,19 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.files import Record, write_toml
-from adaptrack.core.path import COLUMNS
-from adaptrack.core.road import ACROSS, COS, DEGREE, HALF, HEADING, SIN, TURNED, X, Y
-from adaptrack.core.road import ALONG as ALONG_PIECE
+from adaptrack.core.road import (
+    ACROSS_COEFFICIENTS,
+    COS,
+    HALF_LENGTH,
+    HEADING,
+    PIECE_COLUMNS,
+    POLYNOMIAL_DEGREE,
+    SIN,
+    TURN_COEFFICIENTS,
+    X,
+    Y,
+)
+from adaptrack.core.road import ALONG_COEFFICIENTS as ALONG_PIECE
 from adaptrack.road.along import Along
 from adaptrack.road.segments import FARTHEST, LONGEST, SHORTEST, Segment
 from adaptrack.road.table import Pieces, end_to_end
@@ -51,7 +61,11 @@ def _quantity(value: Any) -> Any:
 Quantity = Annotated[Along, BeforeValidator(_quantity)]
 Coefficients = Annotated[
     tuple[Annotated[float, Field(ge=-LONGEST, le=LONGEST)], ...],
-    Field(min_length=DEGREE + 1, max_length=DEGREE + 1, description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece"),
+    Field(
+        min_length=POLYNOMIAL_DEGREE + 1,
+        max_length=POLYNOMIAL_DEGREE + 1,
+        description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece",
+    ),
 ]
 
 
@@ -100,9 +114,9 @@ class RoadFile(Record):
 
 def table_of(found: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
-    pieces = np.zeros((len(found), COLUMNS))
+    pieces = np.zeros((len(found), PIECE_COLUMNS))
     for row, piece in zip(pieces, found, strict=True):
-        row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
+        row[[HALF_LENGTH, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
     return end_to_end(pieces)
@@ -131,8 +145,12 @@ def _plain(along: Along) -> Any:
 
 
 def _piece(row: Any) -> dict[str, Any]:
-    bounds = {"along": (ALONG_PIECE, ACROSS), "across": (ACROSS, TURNED), "turned": (TURNED, COLUMNS)}
-    place = {"half": HALF, "x": X, "y": Y, "heading": HEADING}
+    bounds = {
+        "along": (ALONG_PIECE, ACROSS_COEFFICIENTS),
+        "across": (ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
+        "turned": (TURN_COEFFICIENTS, PIECE_COLUMNS),
+    }
+    place = {"half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING}
     return {name: float(row[column]) for name, column in place.items()} | {
         name: row[first:last].tolist() for name, (first, last) in bounds.items()
     }

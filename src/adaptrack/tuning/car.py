@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +15,7 @@ from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.checked import checked, whole
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import tells
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
@@ -31,7 +30,6 @@ from adaptrack.tuning.runs import RunSet, random_drive_runs
 from adaptrack.tuning.spaces import Search
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 _log = logging.getLogger("adaptrack")
 
 FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
@@ -154,7 +152,7 @@ def tune(
     car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
     speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,
     uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: TuningEffort | None = None,
-    seed: int = 0, progress: Progress | None = None,
+    seed: int = 0, progress: ProgressCall | None = None,
 ) -> TunedCar:  # fmt: skip
     """The constant tuning with which the controller that knows its car drives it best, checked.
 
@@ -202,7 +200,7 @@ def tune(
     if holdable.constant is None:
         raise InvalidInput(f"tune: {holdable.verdict}")
     constant, held = holdable.constant
-    domain = requested.replace(**held._asdict()) if held != holdable.whole else requested
+    domain = requested.replace(**held._asdict()) if held != holdable.requested else requested
     default = mpc.tuning
     bench = _Bench(driven, mpc, world, domain)
     runs = _search_runs(bench.on_twin(), effort, seed)
@@ -288,7 +286,7 @@ def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]
 
 
 def _search_tuning(
-    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, show: Progress
+    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, show: ProgressCall
 ) -> Tuning:
     """The tuning with the lowest mean log cost over the run sets: found about the first candidate, or a candidate."""
     default = candidates[0]

@@ -271,7 +271,7 @@ def _compiles(controller: Controller) -> bool:
     if isinstance(controller, CompiledController):
         return True
     scheduled = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
-    return isinstance(controller, MPC) and controller.in_kernel and not scheduled
+    return isinstance(controller, MPC) and controller.runs_in_kernel and not scheduled
 
 
 def _scheduling_variables(samples: Array) -> Array:

@@ -61,17 +61,17 @@ class KernelInput:
         self._longest = values.size if sizes is None else max(sizes)
         self._parts: dict[Any, Array] = {}
 
-    def take(self, given: Any) -> int:
+    def take(self, numbers: Any) -> int:
         """Copy a row; how many numbers of it are read. Raises as `vector`."""
-        if type(given) is ndarray and given.dtype is FLOAT:
-            part = self._parts.get(given.shape)
+        if type(numbers) is ndarray and numbers.dtype is FLOAT:
+            part = self._parts.get(numbers.shape)
             if part is not None:  # a row of this shape has been checked before
-                part[...] = given
+                part[...] = numbers
                 return len(part)
-            if self._sizes is None and given.ndim == 1 and given.size > self._longest:
-                self.values[...] = given[: self._longest]
+            if self._sizes is None and numbers.ndim == 1 and numbers.size > self._longest:
+                self.values[...] = numbers[: self._longest]
                 return self._longest
-        row = _row(self._name, given, self._sizes, self._longest)
+        row = _row(self._name, numbers, self._sizes, self._longest)
         part = self._parts[row.shape] = self.values[: row.size]
         part[...] = row
         return len(part)
@@ -101,10 +101,10 @@ def finite(name: str, value: Any) -> float:
     InvalidInput
         When it is none.
     """
-    given = number(name, value)
-    if not np.isfinite(given):
+    result = number(name, value)
+    if not np.isfinite(result):
         raise InvalidInput(f"{name} = {shown(value)}: must be finite.")
-    return given
+    return result
 
 
 def wheel_angle(name: str, value: Any) -> float:
@@ -115,10 +115,10 @@ def wheel_angle(name: str, value: Any) -> float:
     InvalidInput
         When it is none.
     """
-    given = finite(name, value)
-    if abs(given) > MOST_WHEEL_ANGLE:
+    angle = finite(name, value)
+    if abs(angle) > MOST_WHEEL_ANGLE:
         raise InvalidInput(f"{name} = {shown(value)} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad.")
-    return given
+    return angle
 
 
 def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
@@ -131,8 +131,8 @@ def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
     """
     turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
     if max(abs(turned), abs(shifted)) >= MOST_CHANGE:
-        said = f"{shown(heading)} rad, {shown(offset)} m"
-        raise InvalidInput(f"change_path: {said}: too far from the path before; reset instead.")
+        change = f"{shown(heading)} rad, {shown(offset)} m"
+        raise InvalidInput(f"change_path: {change}: too far from the path before; reset instead.")
     return turned, shifted
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from adaptrack.base.checked import whole
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Attempt, Solution
-from adaptrack.control.qp.solver import EXACT, QPSolver
+from adaptrack.control.qp.solver import EXACT_SOLVER, QPSolver
 
 
 class ActiveSet(QPSolver):
@@ -19,7 +19,7 @@ class ActiveSet(QPSolver):
     that finishes what others leave uncertified; its own such answers leave nothing to apply.
     """
 
-    name: ClassVar[str] = EXACT
+    name: ClassVar[str] = EXACT_SOLVER
 
     def __init__(self, max_iterations: int | None = None) -> None:
         super().__init__(on_uncertified="hold")
