@@ -107,7 +107,7 @@ def test_a_length_is_said_in_the_unit_in_which_one_says_it():
 def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():
     car = load_vehicle("midsize-sedan")
     car = car.replace(stiffness_rear=0.5 * car.stiffness_rear)
-    assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.of_car(car)
+    assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.car_answer(car)
 
 
 def test_a_command_line_is_repeated_with_more_words_or_another_value(monkeypatch):

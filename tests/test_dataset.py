@@ -16,6 +16,7 @@ from adaptrack.paper.data_set_summary import SUMMARY_TARGETS, describe, flatness
 from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result
+from adaptrack.results.draw import panel_figure
 from adaptrack.results.page import write_result
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
@@ -228,17 +229,17 @@ def test_a_description_survives_operating_points_where_every_tuning_fails():
 def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
     points = grid(speed=(5.0, 10.0, 15.0), y_ref=(-4.0, 4.0, 8.0), friction=(0.5, 0.9), wind=(-10.0, 0.0, 10.0))
     data = wild(len(points), operating_points=points)
-    heat = pictures.optimum_maps(data)[3].marks[0]
+    (cells,) = panel_figure(pictures.optimum_maps(data)[3]).axes[0].collections
     members = (points[:, 0] == 10.0) & (points[:, 2] == 0.9)
-    assert np.shape(heat.values) == (2, 3)
-    assert heat.values[1][1] == np.median(data.tunings[members, 0])
+    assert cells.get_array().shape == (2, 3)
+    assert cells.get_array()[1][1] == np.median(data.tunings[members, 0])
 
 
 def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
     points = grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,))
     data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 8.0, 8.0])
-    line = pictures.gain_panel(data).marks[2]
-    assert (list(line.x), list(line.y)) == ([5.0, 10.0], [3.0, 8.0])
+    line = panel_figure(pictures.gain_panel(data)).axes[0].lines[1]
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 8.0])
 
 
 @pytest.mark.parametrize("lost", [False, True])

@@ -12,7 +12,7 @@ from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Guarded, Learned, StabilityMap, Table
 from adaptrack.results import evaluation, style, write_result
-from adaptrack.results.draw import described
+from adaptrack.results.draw import describe_panel, panel_figure
 from adaptrack.results.evaluation import evaluation_result, regret_maps, surfaces_picture, view_rows
 from adaptrack.results.words import number
 from pictures import pictures
@@ -118,8 +118,8 @@ def test_maps_are_drawn_where_their_cells_hold_operating_points():
     assert len(regret_maps(many).panels) == 4 * 2
     names = [picture.name for picture in evaluation_result({"operating points": {"exact": many}}, {}).pictures]
     assert names == ["verdict", "maps"]
-    heat = regret_maps(many).panels[0].marks[0]
-    assert np.asarray(heat.values).shape == (4, 4)
+    (cells,) = panel_figure(regret_maps(many).panels[0]).axes[0].collections
+    assert cells.get_array().shape == (4, 4)
 
 
 def test_surfaces_show_the_learned_tuning_without_the_guard():
@@ -128,7 +128,7 @@ def test_surfaces_show_the_learned_tuning_without_the_guard():
     guarded = Guarded(schedule(), Tuning(Np=50, Nc=2, Q=1.0, R=100.0), stability=nowhere_stable)
     assert guarded.batch([[15.0, 0.0, 0.7, 0.0]])[0, 0] == 50.0
     result = evaluation_result({"drives": VIEWS["drives"]}, {"nn": guarded})
-    Np, Nc, ratio = (described(panel) for panel in result.picture("surfaces").panels)
+    Np, Nc, ratio = (describe_panel(panel) for panel in result.picture("surfaces").panels)
     assert Np.endswith("over speed and reference change ahead: 15 to 40.")
     assert Nc.endswith("ahead: 4.")
     assert ratio.endswith("ahead: 3.5.")

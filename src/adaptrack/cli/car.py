@@ -182,7 +182,7 @@ def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Ve
 
 # -- what is said -----------------------------------------------------------------------------------------------------
 def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
-    from adaptrack.results.answers import of_car
+    from adaptrack.results.answers import car_answer
 
     if as_json:
         from adaptrack.export.page_inputs import page_car
@@ -198,7 +198,7 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         })  # fmt: skip
         return
     if vehicle is not None:
-        show.say(of_car(vehicle))
+        show.say(car_answer(vehicle))
         title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
         show.table(title, PARAMETER_COLUMNS, numbers(vehicle))
         show.table("Steady turns of its model", DERIVED, derived(vehicle, fit))
