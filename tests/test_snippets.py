@@ -42,14 +42,13 @@ LONG_COMMANDS = {
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""
 
 LONG_SNIPPETS = {
-    ("adaptation.md", "improve("): "1 minute",
-    ("campaign.md", "run_campaign("): "5 minutes",
+    ("schedulers.md", "improve("): "1 minute",
+    ("schedulers.md", "run_campaign("): "5 minutes",
     ("certify.md", "loop_map("): "10 s",
-    ("identify.md", "at.identify("): "10 s, and needs a log",
-    ("models.md", 'train(load_dataset("paper-grid")'): "20 s",
-    ("plants.md", "commonroad_plant("): "needs commonroad-vehicle-models",
+    ("identify.md", 'at.identify("drive.csv"'): "10 s, and needs a log",
+    ("extending.md", "commonroad_plant("): "needs commonroad-vehicle-models",
     ("schedulers.md", "train(data"): "20 s",
-    ("shadow.md", "at.shadow("): "needs logs",
+    ("identify.md", "at.shadow("): "needs logs",
 }
 """Python blocks of which only the imports are run, by page and something that they hold."""
 
