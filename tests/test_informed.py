@@ -501,7 +501,7 @@ def test_a_scheduler_made_for_another_car_or_profile_is_told_once_with_the_remed
     mpc = MPC(CAR, profile="production", scheduler=schedule)
     assert "made for the car 'van', not 'paper'" in caplog.text
     assert "made for the profile 'road', not 'production'" in caplog.text
-    assert caplog.text.count("adaptrack adapt") == 2
+    assert caplog.text.count("adaptrack paper adapt") == 2
     World.of(DualTrack(CAR), mpc, "production", None, None, None)
     assert len(caplog.records) == 2
     World.of(DualTrack(CAR), mpc, "paper", None, None, None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
 
 import numpy as np
@@ -181,7 +180,7 @@ def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
     titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]
     assert titles[:2] == ["Lag and dead time", "Steering lag"]
     with pytest.raises(InvalidInput, match="needs a controller that learns"):
-        learned_picture({"informed": dataclasses.replace(run, diagnostics={})})
+        learned_picture({"informed": rollout(DualTrack(CAR), MPC(CAR, profile="road"), trip, profile=world(), seed=1)})
 
 
 @compiled

@@ -27,14 +27,13 @@ from adaptrack.base.checked import checked, real, whole
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, in_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
-from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.controllers.informed import HORIZON, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.control.controllers.registry import register_controller
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.public import path_model
-from adaptrack.core.synthesis.tuning import HORIZON
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile
 from known_car import KnownCar

@@ -380,13 +380,13 @@ class FrictionTarget:
         """Take one input; what does not hold."""
         *state, speed, command, acceleration = given["row"]
         found = self.estimator.step(np.array(state), speed, command, acceleration)
-        belief = self.estimator.belief
-        low, high = belief.friction_range
+        prior = self.estimator._prior
+        low, high = prior.friction_range
         if not all(
             map(math.isfinite, (found.friction, found.wind, found.friction_std, found.wind_std, found.stiffness))
         ):
             return f"not finite: {found}"
-        if not (low - TINY <= found.friction <= high + TINY and abs(found.wind) <= belief.most_wind + TINY):
+        if not (low - TINY <= found.friction <= high + TINY and abs(found.wind) <= prior.most_wind + TINY):
             return f"out of its range: {found}"
         return None
 

@@ -101,5 +101,5 @@ def list_names(
     describe, words = COMMANDS[kind]
     rows = [{"name": name, "description": text} for name, text in describe().items()]
     show.listing(f"{len(rows)} {kind}", rows, as_json)
-    if not as_json:
+    if rows and not as_json:
         say_next("use one", command(*words.split(), rows[0]["name"]))

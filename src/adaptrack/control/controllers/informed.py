@@ -34,6 +34,7 @@ from adaptrack.core.synthesis import informed as kernel
 from adaptrack.core.synthesis.car import KnownWithin
 from adaptrack.core.synthesis.learner import Start
 from adaptrack.core.synthesis.rows import row_of
+from adaptrack.core.synthesis.tuning import HORIZON as HORIZON
 from adaptrack.core.synthesis.tuning import tune_informed
 from adaptrack.scenario.profile import Profile, load_profile
 
