@@ -124,12 +124,13 @@ def check_printed(source, printed):
 
 
 def check_table(table, printed):
-    """Compare the rows of a table with the lines that begin as they do."""
+    """Compare the rows of a table with the lines whose first or second word is theirs."""
     rows = [[each.strip(" `") for each in row.strip().strip("|").split("|")] for row in table.splitlines()[2:]]
     assert rows
     for name, *cells in rows:
-        lines = [line for line in printed.splitlines() if line.split()[:1] == [name]]
-        assert any(agree(" ".join(cells), " ".join(line.split()[1:])) for line in lines), (name, cells, lines)
+        lines = [line.split() for line in printed.splitlines() if name in line.split()[:2]]
+        printed_cells = [" ".join(line[line.index(name) + 1 :]) for line in lines]
+        assert any(agree(" ".join(cells), row) for row in printed_cells), (name, cells, printed_cells)
 
 
 def check_text(text, printed):
