@@ -134,7 +134,7 @@ def test_the_papers_errors_stand_beside_the_runs_that_they_compare_with(study):
 
 
 def test_the_standard_mpc_does_not_depend_on_what_was_learned(study):
-    """The figures of docs/results.md."""
+    """The figures of docs/reproduce.md."""
     expected = {
         ("released", "standard-as-released"): (0.0371, 0.6197),
         ("same-moves", "standard-as-written"): (0.0029, 0.1223),

@@ -251,7 +251,7 @@ class Scenario(Record):
     @classmethod
     @checked
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
-        """The scenario that a TOML file describes (docs/scenarios.md); its name is the file's, unless it says another.
+        """The scenario that a TOML file describes (docs/driving.md); its name is the file's, unless it says another.
 
         Raises
         ------

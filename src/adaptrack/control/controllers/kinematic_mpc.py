@@ -43,7 +43,7 @@ class KinematicMPC(CompiledController):
 
     The states are the errors of the rear axle and the wheel angle, linearised about the curvature of each stage; the
     measured pose is rolled through the commands on their way. Equations and cost: `core.controllers.kinematic_mpc`;
-    what is Autoware's and what is left out: docs/peers.md. Autoware Universe, *MPC Lateral Controller* and *Model
+    what is Autoware's and what is left out: docs/worth.md. Autoware Universe, *MPC Lateral Controller* and *Model
     predictive control algorithm* (documentation of `autoware_mpc_lateral_controller`); J. M. Snider, *Automatic
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
 
