@@ -39,7 +39,7 @@ SHOWN_SECONDS = 15.0
 """s of the log that are drawn: those with the most turning."""
 BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
 BELIEF_LABELS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
-BELIEF_NAMES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
+LEARNED_CAR_ROWS = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
 """Names of the rows of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
@@ -52,7 +52,7 @@ PREDICTION_COLUMNS = (
     Column("fastest", "fastest", "rad/s", 3, f"{LATER:g} s ahead, in the third of the log with the fastest steering"),
     Column("y", "offset", "m", 3, f"from the path, {LATER:g} s ahead"),
 )
-BELIEF_COLUMNS = (
+LEARNED_CAR_COLUMNS = (
     Column("name", "believed"),
     Column("value", "value", show=3),
     Column("interval", "90 %", show=3),
@@ -165,13 +165,13 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
     believed = [
         {"name": name, "value": interval.value, "interval": (interval.low, interval.high),
          "before": (old.low, old.high), "unit": interval.unit}
-        for name, interval, old in zip(BELIEF_NAMES, log.learned.intervals, log.before.intervals, strict=True)
+        for name, interval, old in zip(LEARNED_CAR_ROWS, log.learned.intervals, log.before.intervals, strict=True)
     ]  # fmt: skip
     title = f"RMS errors of yaw rate{' and offset' if y else ''}{suffix}"
     columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
     return [
         ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
-        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEF_COLUMNS, believed, brief=True),
+        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", LEARNED_CAR_COLUMNS, believed, brief=True),
     ]
 
 
