@@ -43,7 +43,7 @@ def quick(tmp_path, monkeypatch):
     """A folder for the library, and a builder that compiles nothing: its library is "new"."""
     folder = tmp_path / "built"
     folder.mkdir()
-    monkeypatch.setattr(library, "BUILT", folder)
+    monkeypatch.setattr(library, "BUILT_FOLDER", folder)
     monkeypatch.setattr(builder, "kernels_of", dict)
     monkeypatch.setattr(builder, "modules", lambda kernels, stages: [])
     monkeypatch.setattr(builder, "header", lambda kernels: "")
@@ -62,7 +62,7 @@ def test_a_library_that_another_build_has_made_meanwhile_is_kept(quick, monkeypa
 
 
 def test_who_has_just_read_the_manifest_before_still_finds_its_library(quick):
-    long_ago = time.time() - 2.0 * builder.AN_HOUR
+    long_ago = time.time() - 2.0 * builder.FOREIGN_LIBRARY_AGE
     enter(quick, {library.processor(): b"before"}, {"kernel.py": "of then"})
     left = quick / "kernels-of-a-build-that-was-killed"
     left.touch()
@@ -80,7 +80,7 @@ def test_sources_that_are_edited_while_they_are_read_make_no_library(quick, monk
     room.mkdir()
     (room / "kernel.py").write_text("now")
     library.source_hashes()
-    monkeypatch.setattr(library, "PACKAGE", tmp_path)
+    monkeypatch.setattr(library, "PACKAGE_FOLDER", tmp_path)
     with pytest.raises(builder.BuildError, match="edited"):
         builder.build()
     assert [path.name for path in quick.iterdir()] == ["lock"]
@@ -148,7 +148,7 @@ def test_a_kernel_that_converts_or_shifts_without_bounds_is_found(name, line, br
 @pytest.fixture
 def one_kernel(tmp_path, monkeypatch):
     """A function of the text of a kernel: makes its module and returns its file with the number of compilations."""
-    monkeypatch.setattr(library, "BUILT", tmp_path)
+    monkeypatch.setattr(library, "BUILT_FOLDER", tmp_path)
     kernels = {"elementary_values": EXPORTED["elementary_values"]}
 
     def make(text):

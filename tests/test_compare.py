@@ -198,7 +198,7 @@ def test_a_contender_that_needs_a_missing_package_is_left_out_with_the_remedy(mo
         raise MissingExtra("The controller 'nonlinear' needs CasADi: python -m pip install casadi")
 
     monkeypatch.setattr(registry._registry, "factories", registry._registry.factories | {"nonlinear": nonlinear})
-    monkeypatch.setattr(registry, "_about", registry._about | {"nonlinear": About("of a plug-in")})
+    monkeypatch.setattr(registry, "_descriptions", registry._descriptions | {"nonlinear": About("of a plug-in")})
     result = run_cell(tiny(contenders=["nonlinear"]), Cell("nonlinear", "paper", "road"))
     assert not result["rows"]
     assert "pip install casadi" in result["left_out"]

@@ -114,7 +114,7 @@ def test_the_filter_believes_in_the_single_track_plant(rng):
     for _ in range(20):
         vy, r, yaw, friction, wind = rng.uniform((-2, -0.8, -1, 0.3, -30), (2, 0.8, 1, 1, 30))
         vx = rng.uniform(2.0, 30.0)
-        z = state(VY=vy, YAW_RATE=r, LOG_FRICTION=math.log(friction), WIND=wind)
+        z = state(VY_STATE=vy, YAW_RATE_STATE=r, LOG_FRICTION=math.log(friction), WIND_STATE=wind)
         lateral, yawing, _, _ = kernel.accelerations(0.0, yaw, vx, p, z, np.zeros((2, 8)))
         slope = plant.derivative([0, 0, yaw, vx, vy, r], [0.0, 0.0], [friction] * 4 + [0.0, wind])
         assert lateral == pytest.approx(slope[4] + vx * r, rel=1e-12, abs=1e-12)

@@ -33,8 +33,8 @@ TABLE = HoldableSpeed(
 def coarse():
     """Tables of few nodes, each made in well below a second."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(holdable, "RATIO", 1.9)
-        patch.setattr(holdable, "FRICTIONS", (0.5, 1.0))
+        patch.setattr(holdable, "TABLE_SPEED_RATIO", 1.9)
+        patch.setattr(holdable, "TABLE_FRICTIONS", (0.5, 1.0))
         patch.setattr(holdable, "SIDEWAYS", (0.0, 0.5))
         holdable._cached_speeds.cache_clear()
         yield lambda mpc, profile: holdable_speed(CAR, mpc, profile)

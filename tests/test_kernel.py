@@ -77,7 +77,7 @@ def built(tmp_path, monkeypatch):
         pytest.skip("runs with the library")
     for file in filter(Path.is_file, library.BUILT_FOLDER.iterdir()):
         (tmp_path / file.name).write_bytes(file.read_bytes())
-    monkeypatch.setattr(library, "BUILT", tmp_path)
+    monkeypatch.setattr(library, "BUILT_FOLDER", tmp_path)
     return tmp_path
 
 

@@ -59,7 +59,7 @@ def run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(controllers._registry, "factories", dict(controllers._registry.factories))
-    monkeypatch.setattr(controllers, "_about", dict(controllers._about))
+    monkeypatch.setattr(controllers, "_descriptions", dict(controllers._descriptions))
     monkeypatch.setattr(plants._registry, "factories", dict(plants._registry.factories))
 
     def command(*arguments):

@@ -53,8 +53,8 @@ def test_the_kernels_need_numpy_alone(run_python):
     code = (
         "import importlib, sys\n"
         "from adaptrack.core import library\n"
-        "files = sorted((library.PACKAGE / 'core').rglob('*.py'))\n"
-        "names = ['.'.join(file.relative_to(library.PACKAGE.parent).with_suffix('').parts) for file in files]\n"
+        "files = sorted((library.PACKAGE_FOLDER / 'core').rglob('*.py'))\n"
+        "names = ['.'.join(file.relative_to(library.PACKAGE_FOLDER.parent).with_suffix('').parts) for file in files]\n"
         "for name in names:\n"
         "    if '.build.' not in name: importlib.import_module(name.removesuffix('.__init__'))\n"
         "print(*sys.modules)"

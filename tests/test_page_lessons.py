@@ -37,7 +37,7 @@ def lessons():
 
 @pytest.fixture(autouse=True)
 def half_a_minute(monkeypatch):
-    monkeypatch.setattr(page_setup, "AN_HOUR", 60.0)  # laps of a closed road
+    monkeypatch.setattr(page_setup, "CLOSED_ROAD_DURATION", 60.0)  # laps of a closed road
 
 
 def drive(lesson, truth=None, **controllers):

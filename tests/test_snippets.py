@@ -253,7 +253,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     for registry in (controllers._registry, plant._registry):
         monkeypatch.setattr(registry, "factories", dict(registry.factories))
-    monkeypatch.setattr(controllers, "_about", dict(controllers._about))
+    monkeypatch.setattr(controllers, "_descriptions", dict(controllers._descriptions))
     yield tmp_path
     for file in tmp_path.glob("*.py"):
         sys.modules.pop(file.stem, None)

@@ -307,8 +307,9 @@ WRONG = [
     ("car", "stiffness_rear", math.inf, informed.CAR_WRONG), ("car", "side_force_slope", math.nan, informed.CAR_WRONG),
     ("world", "period", 0.0, informed.LOOP_WRONG), ("world", "noise_y", math.inf, informed.LOOP_WRONG),
     ("world", "computation", math.nan, informed.LOOP_WRONG), ("world", "oldest", math.inf, informed.LOOP_WRONG),
-    ("given", "lag", -0.1, informed.STEERING_WRONG), ("file", "rate", 0.0, informed.STEERING_WRONG),
-    ("actuator", "limit", math.inf, informed.STEERING_WRONG), ("given", "dead_time", math.inf, informed.STEERING_WRONG),
+    ("caller", "lag", -0.1, informed.STEERING_WRONG), ("file", "rate", 0.0, informed.STEERING_WRONG),
+    ("actuator", "limit", math.inf, informed.STEERING_WRONG),
+    ("caller", "dead_time", math.inf, informed.STEERING_WRONG),
     ("unsure", "stiffness", math.nan, informed.UNCERTAINTY_WRONG), ("method", "lags", 1e9, informed.METHOD_WRONG),
 ]  # fmt: skip
 

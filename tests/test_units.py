@@ -52,8 +52,8 @@ def test_a_value_out_of_its_range_is_named_by_the_status():
 def test_each_value_says_what_it_is_and_in_which_unit():
     road = at.load_road("town", seed=1, length=150.0)
     units = car_unit(PLANT), controller_unit(at.Stanley(CAR, period=0.05), road)
-    for unit, kernel in zip(units, (car, controller), strict=True):
-        assert tuple(value.name for value in unit.values) == kernel.VALUE._fields
+    for unit, columns in zip(units, (car.CAR_VALUE, controller.STEERING_VALUE), strict=True):
+        assert tuple(value.name for value in unit.values) == columns._fields
         assert all(len(value.description) > 8 for value in unit.values)
         plain = {value.name for value in unit.values if not value.unit and value.type == 0}
         assert all(name.startswith("friction") for name in plain)

@@ -359,8 +359,8 @@ class NMPC(Controller):
 
     def _entering(self, v: float) -> Array:
         """(2, 2) what d_y and d_r add to v_y and r in a period."""
-        at = path_model.STATE
-        f, b = np.zeros((path_model.STATES, len(at))), np.zeros(path_model.STATES)
+        at = path_model.PATH_STATE
+        f, b = np.zeros((path_model.PATH_STATES, len(at))), np.zeros(path_model.PATH_STATES)
         own = path_model.parameters_of(self._model.parameters(), 0)
         path_model.discretise_disturbed(v, self.period, own, f, b)
         return f[np.ix_([at.vy, at.yaw_rate], [at.side, at.turn])]

@@ -5,7 +5,7 @@ import pytest
 from adaptrack.cars import plant
 from adaptrack.control.controllers import registry
 
-PLACES = ((registry._registry, "factories"), (registry, "_about"), (plant._registry, "factories"))
+PLACES = ((registry._registry, "factories"), (registry, "_descriptions"), (plant._registry, "factories"))
 BEFORE = [dict(getattr(owner, name)) for owner, name in PLACES]
 
 import commonroad_cars  # noqa: E402, F401

@@ -192,7 +192,7 @@ def called_back(plant: Any, controller: Controller) -> list[str]:
         members.append(controller.function)
     elif isinstance(controller, MPC):
         members += [controller.model.function, controller.estimator.function]
-    return [member.name for member in members if getattr(member, "in_python", False)]
+    return [member.name for member in members if getattr(member, "calls_python", False)]
 
 
 class Batch:

@@ -204,8 +204,8 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
     }
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
     if kind is Tracking:
-        pairs += [("period", MPC_PLACES[name], _place(part.Numbers, "period"))
-                  for name, part in (("estimator", kalman), ("learner", learning))]  # fmt: skip
+        records = {"estimator": kalman.FilterParameters, "learner": learning.LearnerParameters}
+        pairs += [("period", MPC_PLACES[name], _place(record, "period")) for name, record in records.items()]
         for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
             yield at["tracker.settings"], settings[name], len(at), block.words[f"step.mpc.settings.{field}"]
     else:

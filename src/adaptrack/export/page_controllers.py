@@ -31,7 +31,7 @@ When the truth changes while it drives, 1 and 2 are called again with a changed 
 **An informed MPC** (`informed`, `learning`): from ``order`` of `controller_numbers`.
 
 1. Into the row of `synthesis.informed.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
-   limit of the section ``steering``, NaN where it has none; ``given``: what a caller believes of lag and dead time.
+   limit of the section ``steering``, NaN where it has none; ``caller``: what a caller believes of lag and dead time.
 2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `OK`.
 3. ``informed_sizes(order, parts)``: states, numbers of the filter's memory, of the learner's.
 4. ``settings`` of `controller_numbers` in a row of `controllers.mpc.Settings`; ``informed_constants(order, parts,
@@ -71,7 +71,7 @@ MADE_BY = {
     "lqr": (LQR, laws.lqr_parameters, laws.LQR_NUMBERS),
 }
 """Laws by kind: the controller, the kernel that makes its parameters, and how many these are."""
-CAR_FIELDS, DRIVE_FIELDS = ("car", "within", "given", "file"), ("substeps", "dead_whole", "dead_share")
+CAR_FIELDS, DRIVE_FIELDS = ("car", "within", "caller", "file"), ("substeps", "dead_whole", "dead_share")
 
 
 def world_numbers(profile: str | Profile) -> dict[str, Any]:

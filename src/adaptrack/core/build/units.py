@@ -1,9 +1,9 @@
 """The kernels that FMUs call, beside those of an exported controller."""
 
 UNIT_KERNELS = {
-    "Car": ("car_begin", "car_step"),
-    "Steering": ("steering_begin", "steering_step"),
-    "LawSteering": ("law_steering_begin", "law_steering_step"),
+    "CarUnit": ("car_begin", "car_step"),
+    "SteeringUnit": ("steering_begin", "steering_step"),
+    "LawSteeringUnit": ("law_steering_begin", "law_steering_step"),
 }
 """Of each unit of co-simulation (`core.units`) the kernels that begin and step, by the name of its record."""
 PLANTS = tuple(
