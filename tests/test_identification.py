@@ -79,12 +79,12 @@ def integrated(
 
 @pytest.fixture(scope="module")
 def log() -> dict[str, np.ndarray]:
-    made = driven(60.0)
-    return {name: made[name] for name in ("time", "command", "speed", "yaw_rate")}
+    drive = driven(60.0)
+    return {name: drive[name] for name in ("time", "command", "speed", "yaw_rate")}
 
 
 @pytest.fixture(scope="module")
-def found(log: dict[str, np.ndarray]) -> at.Identification:
+def answer(log: dict[str, np.ndarray]) -> at.Identification:
     believed = CAR.replace(stiffness_front=1.5 * CAR.stiffness_front, stiffness_rear=0.8 * CAR.stiffness_rear)
     return at.identify(log, believed)
 
@@ -93,8 +93,8 @@ def found(log: dict[str, np.ndarray]) -> at.Identification:
 def test_the_filter_run_blind_is_the_single_track_vehicle_in_tight_bends_too(
     speed: float | None, swing: float, accuracy: float
 ) -> None:
-    made = dict(integrated(25.0, 0, 0.0, speed, swing))
-    cleaned = log_of(dict(made), CAR.wheelbase)
+    drive = dict(integrated(25.0, 0, 0.0, speed, swing))
+    cleaned = log_of(dict(drive), CAR.wheelbase)
     exact = {
         "delay": LAG + DEAD_TIME, "lag_share": LAG / (LAG + DEAD_TIME), "offset": BIAS,
         "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear, "relaxation": RELAXATION,
@@ -104,7 +104,7 @@ def test_the_filter_run_blind_is_the_single_track_vehicle_in_tight_bends_too(
     blind = Likelihood(cleaned, CAR, beliefs, cleaned.begins.astype(np.float64))
     errors, _ = blind.innovations(np.zeros(len(QUANTITIES)))
     settled = cleaned.time > 3.0
-    assert np.abs(errors[0][settled]).max() < accuracy * np.abs(made["yaw_rate"]).max()
+    assert np.abs(errors[0][settled]).max() < accuracy * np.abs(drive["yaw_rate"]).max()
     assert np.abs(errors[4][settled]).max() < 1e-4  # the wheels
 
 
@@ -125,63 +125,63 @@ def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
     factor, floor, *_ = CORRECTIONS["dead_time"]
     assert corrected("dead_time", 0.01, 0.1, True, 0.7) == pytest.approx(math.hypot(factor * 0.01, floor / 0.1))
     factor, floor, share, *_ = CORRECTIONS["understeer_gradient"]
-    wide = math.hypot(factor * 1e-4, floor, share * 0.004)
-    assert corrected("understeer_gradient", 1e-4, -0.004, False, 0.7) == pytest.approx(wide)
+    width = math.hypot(factor * 1e-4, floor, share * 0.004)
+    assert corrected("understeer_gradient", 1e-4, -0.004, False, 0.7) == pytest.approx(width)
     assert corrected("delay", 0.69, 0.3, True, 0.7) == 0.7
     assert corrected("lf", 0.05, 1.2, True, 0.1) == 0.05
     assert corrected("front", 0.05, 1e5, True, 0.7, wheels=0.3) > 2.0 * corrected("front", 0.05, 1e5, True, 0.7)
 
 
 @pytest.mark.compiled
-def test_the_covariance_is_that_of_the_reported_errors(found: at.Identification) -> None:
+def test_the_covariance_is_that_of_the_reported_errors(answer: at.Identification) -> None:
     real = ("understeer_gradient", "offset", "gyro_offset", "push_mean")
-    for variance, each in zip(np.diag(found.covariance), found.estimates.values(), strict=True):
-        if each.standard_error > 0.0:
-            expected = each.standard_error / (1.0 if each.name in real else each.value)
-            assert math.sqrt(variance) == pytest.approx(expected, rel=1e-6), each.name
+    for variance, estimate in zip(np.diag(answer.covariance), answer.estimates.values(), strict=True):
+        if estimate.standard_error > 0.0:
+            expected = estimate.standard_error / (1.0 if estimate.name in real else estimate.value)
+            assert math.sqrt(variance) == pytest.approx(expected, rel=1e-6), estimate.name
 
 
 @pytest.mark.compiled
-def test_delay_and_its_split_are_found_in_a_log_of_an_independent_simulation(found: at.Identification) -> None:
-    assert found["delay"].value == pytest.approx(LAG + DEAD_TIME, abs=0.01)
-    assert abs(found["lag"].value - LAG) < 3.0 * found["lag"].standard_error + 0.002
-    assert abs(found["dead_time"].value - DEAD_TIME) < 3.0 * found["dead_time"].standard_error + 0.002
+def test_delay_and_its_split_are_found_in_a_log_of_an_independent_simulation(answer: at.Identification) -> None:
+    assert answer["delay"].value == pytest.approx(LAG + DEAD_TIME, abs=0.01)
+    assert abs(answer["lag"].value - LAG) < 3.0 * answer["lag"].standard_error + 0.002
+    assert abs(answer["dead_time"].value - DEAD_TIME) < 3.0 * answer["dead_time"].standard_error + 0.002
 
 
 @pytest.mark.compiled
-def test_tyres_and_offset_lie_within_three_standard_errors(found: at.Identification) -> None:
+def test_tyres_and_offset_lie_within_three_standard_errors(answer: at.Identification) -> None:
     truth = {
         "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear, "offset": BIAS, "noise_yaw_rate": 0.003,
         "understeer_gradient": CAR.understeer_gradient,
     }  # fmt: skip
     for name, value in truth.items():
-        assert abs(found[name].value - value) < 3.0 * found[name].standard_error, name
-    assert found["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.15)
+        assert abs(answer[name].value - value) < 3.0 * answer[name].standard_error, name
+    assert answer["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.15)
 
 
 @pytest.mark.compiled
-def test_held_out_stretches_are_predicted(found: at.Identification) -> None:
-    assert found.validation.simulated > 0.95
-    assert found.validation.one_step > 0.95
-    assert max(map(abs, found.validation.autocorrelation)) < 0.15
+def test_held_out_stretches_are_predicted(answer: at.Identification) -> None:
+    assert answer.validation.simulated > 0.95
+    assert answer.validation.one_step > 0.95
+    assert max(map(abs, answer.validation.autocorrelation)) < 0.15
 
 
 @pytest.mark.compiled
-def test_the_file_of_the_car_holds_what_was_found(found: at.Identification, tmp_path) -> None:
-    found.to_toml(tmp_path / "mine.toml")
+def test_the_file_of_the_car_holds_what_was_found(answer: at.Identification, tmp_path) -> None:
+    answer.to_toml(tmp_path / "mine.toml")
     car = at.load_vehicle(tmp_path / "mine.toml")
     assert car.name == "mine"
     assert car.steering is not None
-    assert car.steering.lag == pytest.approx(found["lag"].value)
-    assert car.steering.dead_time == pytest.approx(found["dead_time"].value)
-    assert 2.0 * car.stiffness_front == pytest.approx(found["front"].value)
+    assert car.steering.lag == pytest.approx(answer["lag"].value)
+    assert car.steering.dead_time == pytest.approx(answer["dead_time"].value)
+    assert 2.0 * car.stiffness_front == pytest.approx(answer["front"].value)
     assert "90 % intervals" in (tmp_path / "mine.toml").read_text()
     assert car.known_within is not None
-    front = found["front"]
+    front = answer["front"]
     ends = front.value / car.known_within.stiffness_front, front.value * car.known_within.stiffness_front
     assert ends[0] <= front.low * 1.001
     assert ends[1] >= front.high * 0.999
-    assert car.known_within.steering_lag >= 0.999 * (found["lag"].high - found["lag"].value)
+    assert car.known_within.steering_lag >= 0.999 * (answer["lag"].high - answer["lag"].value)
     assert at.MPC(car, profile="road").tuning.R > at.MPC(car.replace(known_within=None), profile="road").tuning.R
 
 
@@ -198,8 +198,8 @@ def steady_yaw_rate(plant: at.DualTrack, angle: float, speed: float) -> float:
 
 
 @pytest.mark.compiled
-def test_the_written_car_turns_on_the_plant_as_its_model_says(found: at.Identification, tmp_path) -> None:
-    found.to_toml(tmp_path / "mine.toml")
+def test_the_written_car_turns_on_the_plant_as_its_model_says(answer: at.Identification, tmp_path) -> None:
+    answer.to_toml(tmp_path / "mine.toml")
     car = at.load_vehicle(tmp_path / "mine.toml")
     assert car.stiffness_factors(at.load_tyre(car.tyre)) == pytest.approx((1.0, 1.0), rel=1e-6)
     for speed in (10.0, 20.0):
@@ -215,39 +215,39 @@ def test_a_log_becomes_a_car_that_drives(tmp_path) -> None:
     run.save(tmp_path / "log.parquet")
     mine = tmp_path / "mine.toml"
     options = ["--mass", f"{car.mass}", "--wheelbase", f"{car.wheelbase}", "--out", str(mine)]
-    done = CliRunner().invoke(app, ["identify", str(tmp_path / "log.parquet"), *options])
-    assert done.exit_code == 0, done.output
-    told = at.load_vehicle(mine)
-    assert told.steady_state_yaw_gain(15.0) == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.05)
+    result = CliRunner().invoke(app, ["identify", str(tmp_path / "log.parquet"), *options])
+    assert result.exit_code == 0, result.output
+    loaded = at.load_vehicle(mine)
+    assert loaded.steady_state_yaw_gain(15.0) == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.05)
     points = tmp_path / "road.csv"
     places = generate_road("country", 3, 300.0).at(np.arange(0.0, 300.0, 3.0))
     np.savetxt(points, np.stack([places.x, places.y], axis=-1), delimiter=",", header="x,y", comments="")
-    done = CliRunner().invoke(app, ["drive", str(points), "--vehicle", str(mine), "--json"])
-    assert done.exit_code == 0, done.output
-    (row,) = json.loads(done.stdout)["rows"]
+    result = CliRunner().invoke(app, ["drive", str(points), "--vehicle", str(mine), "--json"])
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(result.stdout)["rows"]
     assert row["failed"] is None
     assert row["max_abs_error"] < 0.5
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("beside", [("yaw_rate",), ("yaw_rate", "wheel")])
-def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(beside: tuple[str, ...]) -> None:
-    made, ratio = driven(60.0), 15.2
-    log = {name: made[name] for name in ("time", "speed", *beside)}
-    log["steering_wheel_angle"] = ratio * (made["wheel"] - BIAS)
+@pytest.mark.parametrize("turning", [("yaw_rate",), ("yaw_rate", "wheel")])
+def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning: tuple[str, ...]) -> None:
+    drive, ratio = driven(60.0), 15.2
+    log = {name: drive[name] for name in ("time", "speed", *turning)}
+    log["steering_wheel_angle"] = ratio * (drive["wheel"] - BIAS)
     likelihood = prepare(log, CAR)
-    each = reported(likelihood, *fitted(likelihood))["ratio"]
-    assert abs(each.value - ratio) < 3.0 * each.standard_error
-    assert each.value == pytest.approx(ratio, rel=0.01 if "wheel" in beside else 0.05)
+    estimate = reported(likelihood, *fitted(likelihood))["ratio"]
+    assert abs(estimate.value - ratio) < 3.0 * estimate.standard_error
+    assert estimate.value == pytest.approx(ratio, rel=0.01 if "wheel" in turning else 0.05)
 
 
 @pytest.mark.compiled
 def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_open() -> None:
-    made = driven(40.0, speed=20.0)
-    log = {name: made[name] for name in ("time", "speed", "yaw_rate")} | {"swa": 15.2 * made["wheel"]}
-    told = at.identify(log, CAR)
-    assert told["ratio"].low < 15.2 < told["ratio"].high
-    assert any("ratio" in sentence for sentence in told.findings)
+    drive = driven(40.0, speed=20.0)
+    log = {name: drive[name] for name in ("time", "speed", "yaw_rate")} | {"swa": 15.2 * drive["wheel"]}
+    answer = at.identify(log, CAR)
+    assert answer["ratio"].low < 15.2 < answer["ratio"].high
+    assert any("ratio" in sentence for sentence in answer.findings)
 
 
 def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log: dict[str, np.ndarray]) -> None:
@@ -256,9 +256,9 @@ def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log:
     read = read_columns(at_wheel, Reading())
     assert (read.commanded, read.ratio_unknown) == (False, True)
     assert guessed_ratio(log_of(read.values, CAR.wheelbase, (), False), CAR.wheelbase) == pytest.approx(15.2, rel=0.2)
-    given = read_columns(at_wheel, Reading(steering_ratio=15.2))
-    assert not given.ratio_unknown
-    assert np.allclose(given.values["wheel"], log["command"])
+    columns = read_columns(at_wheel, Reading(steering_ratio=15.2))
+    assert not columns.ratio_unknown
+    assert np.allclose(columns.values["wheel"], log["command"])
     assert read_columns(log, Reading(steering_ratio="fit")).ratio_unknown
     degrees = read_columns(plain | {"swa": 15.2 * np.degrees(log["command"])}, Reading())
     with pytest.raises(InvalidInput, match="--units steering_wheel=deg"):
@@ -268,21 +268,21 @@ def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log:
 
 
 @pytest.mark.compiled
-def test_the_page_shows_measured_and_simulated(found: at.Identification, tmp_path) -> None:
+def test_the_page_shows_measured_and_simulated(answer: at.Identification, tmp_path) -> None:
     from adaptrack.results.identify import write_identification_page
 
-    text = write_identification_page(found, tmp_path / "page.html", "adaptrack identify").read_text()
+    text = write_identification_page(answer, tmp_path / "page.html", "adaptrack identify").read_text()
     for words in ("explained", "simulated", "Believed before", "Speed and steering", "Are they white?"):
         assert words in text
 
 
 @pytest.mark.compiled
-def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(found: at.Identification) -> None:
-    made = driven(60.0)
-    made["wheel"] = made["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(made["time"].size)
-    likelihood = prepare({k: made[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
+def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer: at.Identification) -> None:
+    drive = driven(60.0)
+    drive["wheel"] = drive["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(drive["time"].size)
+    likelihood = prepare({k: drive[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
     estimates = reported(likelihood, *fitted(likelihood))
-    assert estimates["lag"].standard_error < 0.7 * found["lag"].standard_error
+    assert estimates["lag"].standard_error < 0.7 * answer["lag"].standard_error
     assert abs(estimates["lag"].value - LAG) < 0.01
 
 
@@ -323,9 +323,9 @@ def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
 
 @pytest.mark.compiled
 def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyres() -> None:
-    made = driven(40.0)
-    late = np.interp(made["time"] - 0.2, made["time"], made["yaw_rate"])
-    likelihood = prepare({k: made[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
+    drive = driven(40.0)
+    late = np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])
+    likelihood = prepare({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
     estimates = reported(likelihood, *fitted(likelihood))
     assert estimates["lateness"].value == pytest.approx(0.2, abs=0.02)
     assert estimates["lateness"].low < 0.2 < estimates["lateness"].high
@@ -334,10 +334,10 @@ def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyre
 
 @pytest.mark.compiled
 def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() -> None:
-    made = driven(40.0)
-    noise = 0.02 * np.random.default_rng(4).standard_normal(made["time"].size)
-    log = {k: made[k] for k in ("time", "command", "speed", "yaw_rate")}
-    likelihood = prepare(log | {"vy": made["vy"] + 1.2 * made["yaw_rate"] + noise}, CAR)
+    drive = driven(40.0)
+    noise = 0.02 * np.random.default_rng(4).standard_normal(drive["time"].size)
+    log = {k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}
+    likelihood = prepare(log | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
     estimates = reported(likelihood, *fitted(likelihood))
     assert estimates["vy_ahead"].value == pytest.approx(1.2, abs=0.15)
     assert estimates["rear"].low < 2.0 * CAR.stiffness_rear < estimates["rear"].high
@@ -345,19 +345,19 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() ->
 
 @pytest.mark.compiled
 def test_at_even_speed_offset_and_gyro_are_said_to_be_inseparable() -> None:
-    made = driven(40.0, speed=15.0)
-    told = at.identify({k: made[k] for k in ("time", "command", "speed", "yaw_rate")}, CAR)
-    assert any("known in sum only" in sentence for sentence in told.findings)
+    drive = driven(40.0, speed=15.0)
+    answer = at.identify({k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}, CAR)
+    assert any("known in sum only" in sentence for sentence in answer.findings)
 
 
 @pytest.mark.compiled
 def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
-    made = driven(40.0)
-    told = at.identify({k: made[k] for k in ("time", "wheel", "speed", "yaw_rate")}, CAR)
-    assert "delay" not in told.estimates
-    assert any("no steering command" in sentence for sentence in told.findings)
-    assert told.car.steering is None
-    assert told["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.2)
+    drive = driven(40.0)
+    answer = at.identify({k: drive[k] for k in ("time", "wheel", "speed", "yaw_rate")}, CAR)
+    assert "delay" not in answer.estimates
+    assert any("no steering command" in sentence for sentence in answer.findings)
+    assert answer.car.steering is None
+    assert answer["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -375,19 +375,19 @@ def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
 def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
     log: dict[str, np.ndarray], signal: str, factor: float, remedy: str
 ) -> None:
-    wrong = log | {signal: log[signal] * factor}
+    wrong_log = log | {signal: log[signal] * factor}
     with pytest.raises(InvalidInput, match=remedy):
-        check_conventions(log_of(wrong, CAR.wheelbase), CAR.wheelbase)
+        check_conventions(log_of(wrong_log, CAR.wheelbase), CAR.wheelbase)
 
 
 @pytest.mark.parametrize(
     ("factor", "remedy"), [(-1.0, "--flip acceleration"), (1.0 / 9.80665, "--units acceleration=g")]
 )
 def test_a_lateral_acceleration_that_does_not_fit_is_named(factor: float, remedy: str) -> None:
-    made = driven(40.0)
-    made["acceleration"] = made["acceleration"] * factor
+    drive = driven(40.0)
+    drive["acceleration"] = drive["acceleration"] * factor
     with pytest.raises(InvalidInput, match=remedy):
-        check_conventions(log_of(made, CAR.wheelbase), CAR.wheelbase)
+        check_conventions(log_of(drive, CAR.wheelbase), CAR.wheelbase)
 
 
 def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
@@ -396,7 +396,7 @@ def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
 
 def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
     short = {name: values[:200] for name, values in log.items()}
-    for wrong, words in (
+    for wrong_log, words in (
         (short, "at least 20 s"),
         (log | {"speed": np.zeros_like(log["speed"])}, "never drives"),
         (log | {"command": 0.0 * log["command"]}, "hardly any steering"),
@@ -406,7 +406,7 @@ def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
         (log | {"time": log["time"][::-1].copy()}, "time goes back"),
     ):
         with pytest.raises(InvalidInput, match=words):
-            log_of(dict(wrong), CAR.wheelbase)
+            log_of(dict(wrong_log), CAR.wheelbase)
 
 
 ROW = 400
@@ -432,36 +432,35 @@ ROW = 400
     ],
 )
 def test_outliers_are_counted_and_left_out_and_all_else_is_kept(signal: str, rows: Any, value: float) -> None:
-    made = driven(60.0)
-    made["yaw"] = np.remainder(np.cumsum(PERIOD * made["yaw_rate"]) + math.pi, math.tau) - math.pi
-    honest, rows = log_of(dict(made), CAR.wheelbase), list(rows)
-    made[signal] = made[signal].copy()
-    made[signal][rows] = value
-    cleaned = log_of(made, CAR.wheelbase)
+    drive = driven(60.0)
+    drive["yaw"] = np.remainder(np.cumsum(PERIOD * drive["yaw_rate"]) + math.pi, math.tau) - math.pi
+    honest, rows = log_of(dict(drive), CAR.wheelbase), list(rows)
+    drive[signal] = drive[signal].copy()
+    drive[signal][rows] = value
+    cleaned = log_of(drive, CAR.wheelbase)
     (note,) = cleaned.notes
     assert note.startswith(f"{signal}: {len(rows)} sample")
-    assert f"{made['time'][rows[0]]:.4g} s" in note
-    others = np.setdiff1d(np.arange(1200), rows)
+    assert f"{drive['time'][rows[0]]:.4g} s" in note
+    other_rows = np.setdiff1d(np.arange(1200), rows)
     for name in ("command", "speed", "yaw_rate", "acceleration", "wheel", "yaw"):
         is_, was = getattr(cleaned, name), getattr(honest, name)
-        assert np.allclose(is_[others], was[others], atol=1e-9), name
+        assert np.allclose(is_[other_rows], was[other_rows], atol=1e-9), name
     left = getattr(cleaned, signal)[rows]
     filled = {"speed": 0.1, "command": 0.02}.get(signal)  # m/s, rad: from the samples around
     assert np.isnan(left).all() if filled is None else np.allclose(left, getattr(honest, signal)[rows], atol=filled)
 
 
 def test_honest_logs_lose_no_sample(log: dict[str, np.ndarray]) -> None:
-    made, rng = driven(60.0), np.random.default_rng(3)
+    drive, rng = driven(60.0), np.random.default_rng(3)
     step = {"yaw_rate": 0.02, "speed": 0.3, "wheel": 0.01, "acceleration": 0.2, "command": 0.01}
-    quantised = {
-        name: np.round(each / step[name]) * step[name] if name in step else each for name, each in made.items()
-    }
-    noisy = {name: each + step.get(name, 0.0) * rng.standard_normal(each.size) for name, each in made.items()}
-    gaps = np.arange(1200) % 300 < 240
-    gusty = made | {"yaw_rate": made["yaw_rate"] + 0.2 * np.exp(-(((made["time"] % 15.0) - 7.0) ** 2) / 0.02)}
-    half = {name: each[::2] for name, each in made.items()}
-    held = made | {"yaw_rate": np.repeat(made["yaw_rate"][::4], 4)}  # of a gyro at 5 Hz
-    for honest in (made, quantised, noisy, {name: each[gaps] for name, each in made.items()}, gusty, half, held):
+    quantised = drive | {name: np.round(drive[name] / size) * size for name, size in step.items()}
+    noisy = {name: x + step.get(name, 0.0) * rng.standard_normal(x.size) for name, x in drive.items()}
+    gaps = {name: values[np.arange(1200) % 300 < 240] for name, values in drive.items()}
+    gusts = 0.2 * np.exp(-(((drive["time"] % 15.0) - 7.0) ** 2) / 0.02)
+    gusty = drive | {"yaw_rate": drive["yaw_rate"] + gusts}
+    half = {name: values[::2] for name, values in drive.items()}
+    held_log = drive | {"yaw_rate": np.repeat(drive["yaw_rate"][::4], 4)}  # of a gyro at 5 Hz
+    for honest in (drive, quantised, noisy, gaps, gusty, half, held_log):
         cleaned = log_of(dict(honest), CAR.wheelbase)
         assert not any("outlier" in note or "stuck" in note for note in cleaned.notes)
         assert np.isfinite(cleaned.yaw_rate).all()
@@ -490,9 +489,9 @@ def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log:
 def test_a_signal_of_many_outliers_is_refused_with_its_column_and_unit(log: dict[str, np.ndarray]) -> None:
     with pytest.raises(InvalidInput, match=r"100 % of speed are outliers .*--columns speed=NAME.*--units"):
         log_of(log | {"speed": 1e3 * log["speed"]}, CAR.wheelbase)
-    wrong = np.where(np.arange(1200) % 10 == 0, 9.0, log["yaw_rate"])
+    wrong_log = np.where(np.arange(1200) % 10 == 0, 9.0, log["yaw_rate"])
     with pytest.raises(InvalidInput, match="10 % of yaw_rate are outliers"):
-        log_of(log | {"yaw_rate": wrong}, CAR.wheelbase)
+        log_of(log | {"yaw_rate": wrong_log}, CAR.wheelbase)
 
 
 def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: dict[str, np.ndarray]) -> None:
@@ -598,7 +597,7 @@ def test_a_car_of_mass_and_wheelbase_is_asked_for_or_a_car() -> None:
 
 
 def test_steering_that_is_known_is_believed_before_the_log() -> None:
-    known: Vehicle = CAR.replace(steering=Steering(lag=0.2, dead_time=0.1))
-    beliefs = beliefs_of(known)
+    car: Vehicle = CAR.replace(steering=Steering(lag=0.2, dead_time=0.1))
+    beliefs = beliefs_of(car)
     assert beliefs["delay"].median == pytest.approx(0.3)
     assert beliefs["lag_share"].median == pytest.approx(2.0 / 3.0)

@@ -29,8 +29,8 @@ RATIO = 15.0
 
 def base(duration: float = 60.0, seed: int = 0) -> dict[str, np.ndarray]:
     """Time, command, speed and yaw rate of a log."""
-    made = driven(duration, seed)
-    return {name: made[name] for name in BASE}
+    drive = driven(duration, seed)
+    return {name: drive[name] for name in BASE}
 
 
 def held(command: np.ndarray, rows: int) -> np.ndarray:
@@ -65,7 +65,7 @@ def motorway() -> dict[str, Any]:
 
 # -- columns that nothing measured ------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("name", "how", "said"),
+    ("name", "compute", "sentence"),
     [
         ("acceleration", lambda m: np.round(m["speed"] * m["yaw_rate"], 3), "speed times yaw rate"),
         ("wheel", lambda m: np.round(held(m["command"], 3) / 1.2, 5), "the command, 0.15 s later"),
@@ -74,39 +74,39 @@ def motorway() -> dict[str, Any]:
         ("vy", lambda m: 1.2 * m["yaw_rate"], "the yaw rate times a constant"),
     ],
 )
-def test_a_column_that_is_computed_from_others_is_left_out_and_said(name: str, how: Any, said: str) -> None:
-    likelihood = prepare(base() | {name: how(base())}, CAR)
+def test_a_column_that_is_computed_from_others_is_left_out_and_said(name: str, compute: Any, sentence: str) -> None:
+    likelihood = prepare(base() | {name: compute(base())}, CAR)
     assert not likelihood.present[name]
     (note,) = likelihood.log.notes
     assert note.startswith(name)
-    assert said in note
+    assert sentence in note
 
 
 def test_a_yaw_rate_that_is_the_derivative_of_the_yaw_counts_once() -> None:
-    made = base()
-    yaw = np.cumsum(PERIOD * made["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(made["time"].size)
-    for rate in (np.gradient(yaw, made["time"]), np.diff(yaw, prepend=yaw[0]) / PERIOD):
-        kept, notes = without_computed(made | {"yaw": yaw, "yaw_rate": rate}, CAR.wheelbase)
-        assert "yaw" not in kept
+    drive = base()
+    yaw = np.cumsum(PERIOD * drive["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(drive["time"].size)
+    for rate in (np.gradient(yaw, drive["time"]), np.diff(yaw, prepend=yaw[0]) / PERIOD):
+        columns, notes = without_computed(drive | {"yaw": yaw, "yaw_rate": rate}, CAR.wheelbase)
+        assert "yaw" not in columns
         assert "one measurement" in notes[0]
 
 
 def test_columns_that_sensors_measured_are_kept() -> None:
-    made, rng = driven(60.0, noise=0.0), np.random.default_rng(1)
-    measured = made | {"yaw": np.cumsum(PERIOD * made["yaw_rate"]), "vy": 1.2 * made["yaw_rate"]}
+    drive, rng = driven(60.0, noise=0.0), np.random.default_rng(1)
+    measured = drive | {"yaw": np.cumsum(PERIOD * drive["yaw_rate"]), "vy": 1.2 * drive["yaw_rate"]}
     for name, noise in (("yaw", 1e-3), ("vy", 0.01), ("yaw_rate", 1e-3)):
-        measured[name] = measured[name] + noise * rng.standard_normal(made["time"].size)
+        measured[name] = measured[name] + noise * rng.standard_normal(drive["time"].size)
     measured["wheel"] = np.round(measured["wheel"], 4)
-    kept, notes = without_computed(measured, CAR.wheelbase)
+    columns, notes = without_computed(measured, CAR.wheelbase)
     assert not notes
-    assert kept.keys() == measured.keys()
+    assert columns.keys() == measured.keys()
 
 
 def test_a_yaw_rate_that_the_kinematic_model_computed_is_refused() -> None:
-    made = base()
-    rate = np.round(made["speed"] * np.tan(made["command"]) / 2.6, 6)
+    drive = base()
+    rate = np.round(drive["speed"] * np.tan(drive["command"]) / 2.6, 6)
     with pytest.raises(InvalidInput, match=r"computed, not measured.*--columns yaw_rate=NAME"):
-        without_computed(made | {"yaw_rate": rate}, CAR.wheelbase)
+        without_computed(drive | {"yaw_rate": rate}, CAR.wheelbase)
 
 
 # -- clocks -----------------------------------------------------------------------------------------------------------
@@ -130,99 +130,99 @@ def test_a_column_with_a_clock_of_its_own_is_read_by_its_times() -> None:
 
 
 def test_a_gyro_whose_clock_is_off_is_named_where_the_yaw_shows_it() -> None:
-    made = driven(60.0)
-    yaw = np.cumsum(PERIOD * made["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(made["time"].size)
+    drive = driven(60.0)
+    yaw = np.cumsum(PERIOD * drive["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(drive["time"].size)
     log = base() | {"yaw": yaw}
     check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
-    late = log | {"yaw_rate": np.interp(made["time"] - 0.2, made["time"], made["yaw_rate"])}
+    late = log | {"yaw_rate": np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])}
     with pytest.raises(InvalidInput, match=r"--late yaw_rate=0\.(18|2)"):
         check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
 
 
 def test_a_yaw_rate_that_runs_ahead_of_the_steering_is_named() -> None:
-    made = base()
-    late = made | {"command": np.interp(made["time"] - LAG - DEAD_TIME - 0.3, made["time"], made["command"])}
+    drive = base()
+    late = drive | {"command": np.interp(drive["time"] - LAG - DEAD_TIME - 0.3, drive["time"], drive["command"])}
     with pytest.raises(InvalidInput, match=r"runs ahead of command.*--late command"):
         check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
 
 
 def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
-    made = base()
-    yaw = np.cumsum(PERIOD * made["yaw_rate"])
-    values = made | {
-        "x": np.cumsum(PERIOD * made["speed"] * np.cos(yaw)), "y": np.cumsum(PERIOD * made["speed"] * np.sin(yaw))
+    drive = base()
+    yaw = np.cumsum(PERIOD * drive["yaw_rate"])
+    values = drive | {
+        "x": np.cumsum(PERIOD * drive["speed"] * np.cos(yaw)), "y": np.cumsum(PERIOD * drive["speed"] * np.sin(yaw))
     }  # fmt: skip
     check_positions(values)
     with pytest.raises(InvalidInput, match="--units speed=km/h"):
-        check_positions(values | {"speed": 3.6 * made["speed"]})
+        check_positions(values | {"speed": 3.6 * drive["speed"]})
 
 
 def test_names_in_a_comment_are_read(tmp_path) -> None:
-    path, made = tmp_path / "log.csv", base()
-    table = np.column_stack([made[name] for name in BASE])
+    path, drive = tmp_path / "log.csv", base()
+    table = np.column_stack([drive[name] for name in BASE])
     np.savetxt(path, table, delimiter=",", header="time(s),delta_cmd(rad),vx(m/s),omega(rad/s)")
-    assert np.allclose(read_columns(path, Reading()).values["yaw_rate"], made["yaw_rate"])
+    assert np.allclose(read_columns(path, Reading()).values["yaw_rate"], drive["yaw_rate"])
 
 
 # -- what is not told, what contradicts -------------------------------------------------------------------------------
 def test_the_delay_of_a_command_alone_is_said_to_end_at_the_logged_yaw_rate() -> None:
-    found = at.identify(base(40.0), CAR)
-    assert found.consistent
-    assert "to the logged yaw rate" in found["delay"].meaning
-    assert any("cannot tell a late yaw rate" in each for each in found.findings)
+    answer = at.identify(base(40.0), CAR)
+    assert answer.consistent
+    assert "to the logged yaw rate" in answer["delay"].meaning
+    assert any("cannot tell a late yaw rate" in finding for finding in answer.findings)
 
 
 def test_a_ratio_from_a_log_without_bends_is_not_accepted(tmp_path) -> None:
-    found = at.identify(motorway(), CAR)
-    assert not found.consistent
-    assert "ratio" not in found.estimates
-    assert any(each.startswith("cannot tell the ratio") for each in found.reasons)
+    answer = at.identify(motorway(), CAR)
+    assert not answer.consistent
+    assert "ratio" not in answer.estimates
+    assert any(reason.startswith("cannot tell the ratio") for reason in answer.reasons)
     with pytest.raises(InvalidInput, match=r"cannot tell the ratio.*anyway"):
-        found.to_toml(tmp_path / "mine.toml")
-    found.to_toml(tmp_path / "mine.toml", anyway=True)
+        answer.to_toml(tmp_path / "mine.toml")
+    answer.to_toml(tmp_path / "mine.toml", anyway=True)
     assert "not consistent: cannot tell the ratio" in (tmp_path / "mine.toml").read_text()
 
 
 @pytest.mark.parametrize("factor", [1.3, 1.0 / 1.3])
 def test_a_steering_ratio_that_is_wrong_by_30_percent_is_said(factor: float) -> None:
-    made = base()
-    found = at.identify(made | {"command": factor * made["command"]}, CAR)
-    (said,) = [each for each in found.reasons if "ratio is wrong" in each]
-    assert f"turn {1.0 / factor:.2f}" in said
+    drive = base()
+    answer = at.identify(drive | {"command": factor * drive["command"]}, CAR)
+    (sentence,) = [reason for reason in answer.reasons if "ratio is wrong" in reason]
+    assert f"turn {1.0 / factor:.2f}" in sentence
 
 
 def test_stretches_that_contradict_each_other_are_said_with_their_level() -> None:
-    made = base(60.0)
-    moved = np.where(made["time"] < 40.0, held(made["command"], 2), made["command"])
-    found = at.identify(made | {"command": moved}, CAR)
-    (said,) = [each for each in found.reasons if "on delay" in each]
-    assert said.startswith("stretches of the log contradict each other on delay")
-    assert "chi-square" in said
+    drive = base(60.0)
+    moved = np.where(drive["time"] < 40.0, held(drive["command"], 2), drive["command"])
+    answer = at.identify(drive | {"command": moved}, CAR)
+    (sentence,) = [reason for reason in answer.reasons if "on delay" in reason]
+    assert sentence.startswith("stretches of the log contradict each other on delay")
+    assert "chi-square" in sentence
 
 
 def test_chance_is_no_contradiction() -> None:
     prior, rng = Moments(np.zeros(3), np.ones(3)), np.random.default_rng(11)
     names = ("front", "rear", "ratio")
-    said = [
+    samples = [
         [Moments(0.05 * rng.standard_normal(3), np.full(3, 0.05**2)) for _ in range(3)] for _ in range(200)
     ]  # fmt: skip
-    assert sum(bool(contradictions("logs", names, prior, each)) for each in said) <= 4
-    apart = [Moments(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
-    (reason,) = contradictions("logs", names, prior, apart)
+    assert sum(bool(contradictions("logs", names, prior, moments)) for moments in samples) <= 4
+    shifted = [Moments(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
+    (reason,) = contradictions("logs", names, prior, shifted)
     assert "front: 1, 1, 2.7" in reason
 
 
 @pytest.mark.compiled
 def test_logs_of_one_car_tell_more_than_each_of_them() -> None:
-    found = at.identify([base(40.0, 1), base(40.0, 2)], CAR)
-    assert found.consistent, found.reasons
+    answer = at.identify([base(40.0, 1), base(40.0, 2)], CAR)
+    assert answer.consistent, answer.reasons
     truth = {"delay": LAG + DEAD_TIME, "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear}
     for name, true in truth.items():
-        each = found[name]
-        assert abs(each.value - true) < 3.0 * each.standard_error, name
-        assert each.standard_error < 0.95 * min(alone[name].standard_error for alone in found.alone)
-    assert "offset" not in found.estimates
-    assert all(abs(alone["offset"].value - BIAS) < 0.003 for alone in found.alone)
+        estimate = answer[name]
+        assert abs(estimate.value - true) < 3.0 * estimate.standard_error, name
+        assert estimate.standard_error < 0.95 * min(alone[name].standard_error for alone in answer.alone)
+    assert "offset" not in answer.estimates
+    assert all(abs(alone["offset"].value - BIAS) < 0.003 for alone in answer.alone)
 
 
 @pytest.mark.compiled
@@ -237,12 +237,12 @@ def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothin
     mine = tmp_path / "mine.toml"
     words = ["identify", *(str(tmp_path / f"{name}.parquet") for name in "ab"), "--out", str(mine)]
     words += ["--mass", f"{CAR.mass}", "--wheelbase", f"{CAR.wheelbase}"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 3, done.output
-    assert "not consistent: logs contradict each other on delay" in done.output
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 3, result.output
+    assert "not consistent: logs contradict each other on delay" in result.output
     assert not mine.exists()
-    done = CliRunner().invoke(app, [*words, "--anyway"])
-    assert done.exit_code == 0, done.output
+    result = CliRunner().invoke(app, [*words, "--anyway"])
+    assert result.exit_code == 0, result.output
     assert at.load_vehicle(mine).name == "mine"
 
 

@@ -89,10 +89,6 @@ def test_after_one_lanelet_the_road_goes_on_where_there_is_one_way(tmp_path):
 def test_a_scenario_without_such_a_chain_is_refused(tmp_path, lanelets, road, words):
     with pytest.raises(ConfigError, match=words):
         load_road(scenario(tmp_path / "map.xml", lanelets), road=road)
-
-
-def test_another_xml_file_is_refused(tmp_path):
-    path = tmp_path / "other.xml"
-    path.write_text("<html/>")
+    (tmp_path / "other.xml").write_text("<html/>")
     with pytest.raises(ConfigError, match="no <commonRoad>"):
-        load_road(path)
+        load_road(tmp_path / "other.xml")

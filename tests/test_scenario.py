@@ -110,11 +110,14 @@ def test_a_lane_change_is_smooth_and_has_the_stated_extremes() -> None:
     assert np.abs(np.gradient(rate, t)).max() == pytest.approx(10.0 / math.sqrt(3.0) * 3.5 / 16.0, rel=1e-5)
 
 
-def test_steps_gusts_and_sums_have_the_values_of_their_formulas() -> None:
+def test_steps_gusts_sums_and_sines_have_the_values_of_their_formulas() -> None:
     assert_array_equal(Step(after=2.0, time=1.0).at([0.999, 1.0]), [0.0, 2.0])
     gust = Gust(peak=20.0, start=3.0, duration=2.0)
     assert_allclose(gust.at([3.0, 3.5, 4.0, 4.5, 5.0]), [0, 10, 20, 10, 0], atol=1e-14)
     assert_allclose((Constant(value=5.0) + gust + 1).at([4.0, 6.0]), [26.0, 6.0])
+    signals = load_scenario("sine", amplitude=1.5, frequency=0.25).sample(0.01)
+    assert (signals.y_ref.min(), signals.y_ref.max()) == pytest.approx((-1.5, 1.5), abs=1e-4)
+    assert (signals.y_ref[:101] == 0.0).all()
 
 
 # ---- the paper's signals
@@ -213,13 +216,6 @@ def test_the_double_lane_change_keeps_to_the_sections_of_the_track() -> None:
 
     assert [at(x) for x in (0.0, 15.0, 45.0, 70.0, 95.0, 125.0)] == pytest.approx([0, 0, 3.5, 3.5, 0, 0], abs=1e-12)
     assert test.duration == pytest.approx(0.5 + 125.0 / speed + 2.0)
-
-
-def test_the_sine_swings_by_its_amplitude() -> None:
-    signals = load_scenario("sine", amplitude=1.5, frequency=0.25).sample(0.01)
-    assert signals.y_ref.max() == pytest.approx(1.5, abs=1e-4)
-    assert signals.y_ref.min() == pytest.approx(-1.5, abs=1e-4)
-    assert (signals.y_ref[:101] == 0.0).all()
 
 
 def test_every_scenario_takes_the_common_options_and_has_the_defaults_that_are_listed() -> None:

@@ -72,16 +72,11 @@ def test_the_force_is_that_of_the_published_equations_turned_to_the_left(tmp_pat
 def test_units_other_than_si_give_the_same_tyre(tmp_path):
     plain = read_tyre_file(tir(tmp_path / "a.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5"))
     per_degree = BOOK | {"PKY1": math.radians(BOOK["PKY1"]), "PHY1": math.degrees(BOOK["PHY1"])}
-    other = read_tyre_file(
-        tir(
-            tmp_path / "b.tir",
-            per_degree,
-            nominal=4.0,
-            STRUCTURAL="LATERAL_STIFFNESS = 0.1",
-            UNITS="LENGTH = 'mm'\nFORCE = 'kN'\nANGLE = 'degrees'",
-            DIMENSION="UNLOADED_RADIUS = 313.5",
-        )
-    )
+    path = tir(
+        tmp_path / "b.tir", per_degree, nominal=4.0, STRUCTURAL="LATERAL_STIFFNESS = 0.1",
+        UNITS="LENGTH = 'mm'\nFORCE = 'kN'\nANGLE = 'degrees'", DIMENSION="UNLOADED_RADIUS = 313.5",
+    )  # fmt: skip
+    other = read_tyre_file(path)
     assert other.nominal_load == pytest.approx(4000.0)
     assert other.radius == pytest.approx(0.3135)
     for slip, load in GRID:

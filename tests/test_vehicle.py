@@ -62,14 +62,9 @@ def car_of(mass, lf, lr, index, front, rear):
 
 
 cars = st.builds(
-    car_of,
-    mass=st.floats(500, 3000),
-    lf=st.floats(0.8, 2.0),
-    lr=st.floats(0.8, 2.0),
-    index=st.floats(0.2, 5.0),
-    front=st.floats(2.0, 100.0),
-    rear=st.floats(2.0, 100.0),
-)
+    car_of, mass=st.floats(500, 3000), lf=st.floats(0.8, 2.0), lr=st.floats(0.8, 2.0), index=st.floats(0.2, 5.0),
+    front=st.floats(2.0, 100.0), rear=st.floats(2.0, 100.0),
+)  # fmt: skip
 
 
 def lateral_matrices(vehicle: Vehicle, vx: float) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +160,8 @@ class TestFields:
 
     def test_a_changed_copy_is_validated_and_the_original_kept(self):
         vehicle = car()
-        assert vehicle.replace(mass=2000).mass == 2000
+        for mass in (2000, np.float64(2000), np.float32(2000), np.int64(2000)):
+            assert vehicle.replace(mass=mass).mass == 2000
         with pytest.raises(ValidationError):
             vehicle.mass = 1.0
         assert vehicle.mass == 1575
@@ -173,10 +169,6 @@ class TestFields:
             vehicle.replace(mass=-1)
         with pytest.raises(InvalidInput, match=r"mas: unknown key. Did you mean 'mass'\?"):
             vehicle.replace(mas=1)
-
-    def test_numpy_numbers_are_numbers(self):
-        vehicle = car(mass=np.float64(1200), lf=np.float32(1.5), lr=np.int64(1))
-        assert (vehicle.mass, vehicle.lf, vehicle.lr) == (1200, 1.5, 1)
 
     def test_sets_survive_their_file_pickling_and_json(self, tmp_path):
         sets = [*map(load_vehicle, list_vehicles()), *map(load_tyre, list_tyres()), SteeringActuator.ideal()]
@@ -307,10 +299,7 @@ OTHER_SLOTS = {
     "steering_rate": lambda v, t, a: a.rate,
     "steering_limit": lambda v, t, a: a.limit,
     "tyre_linear": lambda v, t, a: 1.0 if t.kind == "linear" else 0.0,
-    "stiffness_load_0": lambda v, t, a: stiffness_coefficients(t.numbers)[0],
-    "stiffness_load_1": lambda v, t, a: stiffness_coefficients(t.numbers)[1],
-    "stiffness_load_2": lambda v, t, a: stiffness_coefficients(t.numbers)[2],
-}
+} | {f"stiffness_load_{i}": lambda v, t, a, i=i: stiffness_coefficients(t.numbers)[i] for i in range(3)}
 
 
 class TestPackPlant:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 HARDLY = 0.7
 """Share of the earlier spread that is left where a log says next to nothing."""
-FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear"}
+FACTOR_ESTIMATES = {"stiffness_front": "front", "stiffness_rear": "rear"}
 """Of a car file's numbers, the estimates that they come from."""
 _MARGINS = ("steering_lag", "steering_dead_time")
 
@@ -144,7 +144,7 @@ class Identification:
         before = self.car.known_within or KnownWithin()
         factors = {
             name: max(estimate.high / estimate.value, estimate.value / estimate.low)
-            for name, estimate in ((key, self.estimates[of]) for key, of in FACTORS.items())
+            for name, estimate in ((key, self.estimates[of]) for key, of in FACTOR_ESTIMATES.items())
             if estimate.low > 0.0
         }
         if self.log.commanded:
@@ -180,7 +180,7 @@ class Identification:
         self.tyre.replace(name=tyre_path.stem, description=tyre_name).to_toml(tyre_path)
         car = self.car.replace(
             name=path.stem, description="Identified from a log", tyre=str(tyre_path), known_within=tolerances,
-            estimated=tuple(name for name in self.car.estimated if name not in FACTORS),
+            estimated=tuple(name for name in self.car.estimated if name not in FACTOR_ESTIMATES),
         )  # fmt: skip
         values = car.model_dump() | {"tyre": tyre_path.name}
         meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}

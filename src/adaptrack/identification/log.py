@@ -14,9 +14,9 @@ from adaptrack.identification.outliers import find_outliers, find_stuck, said_of
 
 Array = NDArray[np.float64]
 
-SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")
+LOG_SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")
 """Of a `Log`, beside its time."""
-STANDING = 1.5
+MIN_LOG_SPEED = 1.5
 """m/s, below which samples are left out: slip angles are ill-defined."""
 SHORTEST_PERIOD, LONGEST_PERIOD, GAP_PERIODS, LEAST_GAP = 5e-4, 0.12, 5.0, 0.3
 """s, of the samples, least (of a short log) and most; a pause longer than so many periods and so long (s) begins a new
@@ -102,15 +102,15 @@ def log_of(
     """
     _refuse_missing(columns)
     time = columns["time"]
-    said = list(notes)
+    messages = list(notes)
     keep = np.isfinite(time)
     keep[1:] &= np.diff(np.maximum.accumulate(np.where(keep, time, -np.inf))) > 0.0
     back = np.isfinite(time[1:]) & np.isfinite(time[:-1]) & (np.diff(time) < -1e-9)
     if back.any():
         raise InvalidInput(f"log: time goes back at row {int(np.flatnonzero(back)[0]) + 2}: sort or split the log.")
     if not keep.all():
-        said.append(f"{int((~keep).sum())} rows that repeat a time, or have none, are left out")
-    data = {name: columns[name][keep] if name in columns else np.full(int(keep.sum()), np.nan) for name in SIGNALS}
+        messages.append(f"{int((~keep).sum())} rows that repeat a time, or have none, are left out")
+    data = {name: columns[name][keep] if name in columns else np.full(int(keep.sum()), np.nan) for name in LOG_SIGNALS}
     time = time[keep]
     if time.size < 50:
         raise InvalidInput(f"log: {time.size} rows with a time of their own: too few; {LEAST_DRIVEN:g} s are needed.")
@@ -120,13 +120,13 @@ def log_of(
         data["command"] = data["wheel"].copy()
         data["wheel"] = np.full(time.size, np.nan)
     if not commanded:
-        said.append("no steering command, only a measured angle: lag and dead time cannot be found")
-    _without_outliers(time, data, commanded, said)
+        messages.append("no steering command, only a measured angle: lag and dead time cannot be found")
+    _without_outliers(time, data, commanded, messages)
     hole = max(3.0 * period, LEAST_GAP)
-    data["command"], data["speed"] = _held(time, data["command"], hole), _filled(time, data["speed"], hole)
-    _without_stuck(time, data, wheelbase, said)
+    data["command"], data["speed"] = _hold_values(time, data["command"], hole), _filled(time, data["speed"], hole)
+    _without_stuck(time, data, wheelbase, messages)
     data["yaw"] = _unwrapped(data["yaw"])
-    log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, said)
+    log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, messages)
     _refuse_idle(log, wheelbase)
     return log
 
@@ -154,29 +154,29 @@ def check_times(time: Array) -> float:
     return period
 
 
-def _without_outliers(time: Array, data: dict[str, Array], commanded: bool, said: list[str]) -> None:
+def _without_outliers(time: Array, data: dict[str, Array], commanded: bool, notes: list[str]) -> None:
     """Make outliers NaN, and say so."""
-    for name in SIGNALS:
+    for name in LOG_SIGNALS:
         kind = "wheel" if name == "command" and not commanded else name
-        wrong = find_outliers(kind, time, data[name])
-        if wrong.any():
-            said.append(said_of(kind, time, data[name], wrong))
-            data[name] = np.where(wrong, np.nan, data[name])
+        outliers = find_outliers(kind, time, data[name])
+        if outliers.any():
+            notes.append(said_of(kind, time, data[name], outliers))
+            data[name] = np.where(outliers, np.nan, data[name])
 
 
-def _without_stuck(time: Array, data: dict[str, Array], wheelbase: float, said: list[str]) -> None:
+def _without_stuck(time: Array, data: dict[str, Array], wheelbase: float, notes: list[str]) -> None:
     """Make the yaw rate of a gyro that is stuck NaN, and say so; refuse it where hardly any other is left."""
     yaw_rate = data["yaw_rate"]
     stuck = find_stuck(time, yaw_rate, data["command"], data["speed"], wheelbase)
     if not stuck.any():
         return
     period = float(np.median(np.diff(time[np.isfinite(yaw_rate)])))
-    what = f"yaw_rate holds {yaw_rate[stuck][0]:.4g} while the car is steered, {period * stuck.sum():.3g} s in all"
+    message = f"yaw_rate holds {yaw_rate[stuck][0]:.4g} while the car is steered, {period * stuck.sum():.3g} s in all"
     left = np.where(stuck, np.nan, yaw_rate)
     if period * np.isfinite(left).sum() < LEAST_DRIVEN:
-        raise InvalidInput(f"log: {what}: the gyro is stuck, or the column is another (--columns yaw_rate=NAME).")
+        raise InvalidInput(f"log: {message}: the gyro is stuck, or the column is another (--columns yaw_rate=NAME).")
     data["yaw_rate"] = left
-    said.append(f"{what}: left out, the gyro was stuck")
+    notes.append(f"{message}: left out, the gyro was stuck")
 
 
 def _refuse_missing(columns: dict[str, Array]) -> None:
@@ -193,38 +193,38 @@ def _refuse_missing(columns: dict[str, Array]) -> None:
         raise InvalidInput(f"log: the column for {steering[0]} never holds a number.")
 
 
-def _held(time: Array, values: Array, longest: float) -> Array:
+def _hold_values(time: Array, values: Array, longest: float) -> Array:
     """Values, each held until the next one for at most so long (s)."""
-    known = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
-    held = np.where(last >= 0, values[last], np.nan)
-    return np.where(time - np.where(last >= 0, time[last], np.nan) <= longest, held, np.nan)
+    is_known = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(is_known, np.arange(values.size), -1))
+    last_values = np.where(last >= 0, values[last], np.nan)
+    return np.where(time - np.where(last >= 0, time[last], np.nan) <= longest, last_values, np.nan)
 
 
 def _filled(time: Array, values: Array, longest: float) -> Array:
     """Values with straight lines over holes of at most so long (s)."""
-    known = np.flatnonzero(np.isfinite(values))
-    inside = np.interp(time, time[known], values[known])
-    after = np.clip(np.searchsorted(known, np.arange(values.size)), 0, known.size - 1)
-    before = np.clip(np.searchsorted(known, np.arange(values.size), side="right") - 1, 0, known.size - 1)
-    near = time[known[after]] - time[known[before]] <= longest
+    rows = np.flatnonzero(np.isfinite(values))
+    inside = np.interp(time, time[rows], values[rows])
+    after = np.clip(np.searchsorted(rows, np.arange(values.size)), 0, rows.size - 1)
+    before = np.clip(np.searchsorted(rows, np.arange(values.size), side="right") - 1, 0, rows.size - 1)
+    near = time[rows[after]] - time[rows[before]] <= longest
     return np.where(np.isfinite(values) | near, inside, np.nan)
 
 
 def _unwrapped(yaw: Array) -> Array:
     """A heading without jumps of 2 pi."""
-    known = np.isfinite(yaw)
+    is_known = np.isfinite(yaw)
     out = np.full_like(yaw, np.nan)
-    out[known] = np.unwrap(yaw[known])
+    out[is_known] = np.unwrap(yaw[is_known])
     return out
 
 
-def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, said: list[str]) -> Log:
+def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, notes: list[str]) -> Log:
     """Segments between gaps and halts; those that are too short are left out."""
     usable = np.isfinite(data["command"]) & np.isfinite(data["speed"])
-    driving = usable & (np.nan_to_num(data["speed"]) > STANDING)
+    driving = usable & (np.nan_to_num(data["speed"]) > MIN_LOG_SPEED)
     if not driving.any():
-        raise InvalidInput(f"log: the car never drives faster than {STANDING:g} m/s: its steering shows nothing.")
+        raise InvalidInput(f"log: the car never drives faster than {MIN_LOG_SPEED:g} m/s: its steering shows nothing.")
     rows = np.flatnonzero(driving)
     begins = np.ones(rows.size, bool)
     begins[1:] = (np.diff(rows) > 1) | (np.diff(time[rows]) > gap)
@@ -232,18 +232,18 @@ def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, said:
     first = np.flatnonzero(begins)
     last = np.append(first[1:], rows.size) - 1
     long_enough = (time[rows[last]] - time[rows[first]]) >= LEAST_SEGMENT
-    kept = long_enough[number]
-    rows, begins = rows[kept], begins[kept]
-    driven = float(np.sum((time[rows[1:]] - time[rows[:-1]])[~begins[1:]])) if rows.size else 0.0
-    if driven < LEAST_DRIVEN:
+    is_kept = long_enough[number]
+    rows, begins = rows[is_kept], begins[is_kept]
+    seconds = float(np.sum((time[rows[1:]] - time[rows[:-1]])[~begins[1:]])) if rows.size else 0.0
+    if seconds < LEAST_DRIVEN:
         raise InvalidInput(
-            f"log: {driven:.3g} s of driving in pieces of {LEAST_SEGMENT:g} s and more: at least {LEAST_DRIVEN:g} s "
+            f"log: {seconds:.3g} s of driving in pieces of {LEAST_SEGMENT:g} s and more: at least {LEAST_DRIVEN:g} s "
             "are needed, and a minute or two are better."
         )
     if begins.sum() > 1:
-        said.append(f"gaps and halts cut it into {int(begins.sum())} segments")
-    signals: dict[str, Any] = {name: data[name][rows] for name in SIGNALS}
-    return Log(time=time[rows], begins=begins, commanded=commanded, notes=tuple(said), **signals)
+        notes.append(f"gaps and halts cut it into {int(begins.sum())} segments")
+    signals: dict[str, Any] = {name: data[name][rows] for name in LOG_SIGNALS}
+    return Log(time=time[rows], begins=begins, commanded=commanded, notes=tuple(notes), **signals)
 
 
 def _refuse_idle(log: Log, wheelbase: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.identification.log import SIGNALS, Log
+from adaptrack.identification.log import LOG_SIGNALS, Log
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def _average_rows(log: Log, rows: int) -> Log:
     first = _group_starts(log.begins, rows)
     means: dict[str, Any] = {}
     segment = np.cumsum(log.begins)
-    for name in SIGNALS:
+    for name in LOG_SIGNALS:
         shift = 0 if name == "command" and log.commanded else rows // 2
         total, count = np.zeros(first.size), np.zeros(first.size)
         for offset in range(rows):
@@ -69,5 +69,5 @@ def _select_turning(log: Log) -> Log:
     stretches = order[np.cumsum(sizes[order]) <= SHORTENED]
     rows = np.flatnonzero(np.isin(stretch, stretches))
     begins = log.begins[rows] | (np.diff(rows, prepend=-2) > 1)
-    signals: dict[str, Any] = {name: getattr(log, name)[rows] for name in SIGNALS}
+    signals: dict[str, Any] = {name: getattr(log, name)[rows] for name in LOG_SIGNALS}
     return replace(log, time=log.time[rows], begins=begins, **signals)

@@ -26,7 +26,7 @@ SPEAKING_JUMP = 1e-3
 FAR_TIGHTER = 10.0
 """Times smaller than a car's smallest radius: no road is, one in kilometres may be."""
 
-RIPPLE, SWINGS = 0.1, 4
+RIPPLE, MIN_SWINGS = 0.1, 4
 """m, to each side, up to which a line that swings is no road but noise, or half of the road's deviation if that is
 more; and how many swings of the curvature in a row."""
 SLOWED, FELT = 0.9, 0.25
@@ -223,7 +223,7 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     heading, curvature = road.at(s)[2:]
     moving = np.flatnonzero(np.abs(np.diff(curvature)) > STRAIGHT_CURVATURE)
     turns = moving[1:][np.diff(np.sign(np.diff(curvature)[moving])) != 0.0]  # from one extremum to the next a swing
-    if turns.size <= SWINGS:
+    if turns.size <= MIN_SWINGS:
         return
     half, swing, first = np.diff(s[turns]), 0.5 * np.abs(np.diff(curvature[turns])), s[turns[:-1]]
     speed = np.minimum(plan.at(first), plan.at(s[turns[1:]]))
@@ -233,7 +233,7 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     felt = np.maximum(speed**2 * swing / allowed, 2.0 * speed**3 * swing / half / plan.comfort.lateral_jerk) > FELT
     small = swing * (half / math.pi) ** 2 < max(RIPPLE, 0.5 * road.deviation)
     rows = np.flatnonzero(small & felt & (speed < SLOWED * calm))
-    swings = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= SWINGS]
+    swings = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= MIN_SWINGS]
     if swings:
         rows = np.concatenate(swings)
         worst = rows[speed[rows].argmin()]
