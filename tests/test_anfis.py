@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack.control.scheduling.functions import Sugeno, sugeno
-from adaptrack.control.scheduling.functions.sugeno import ANY, CENTRE, SLOPE, WIDTH
+from adaptrack.control.scheduling.functions.sugeno import ANY, BELL_CENTRE, BELL_SLOPE, BELL_WIDTH
 from adaptrack.paper import ANFIS, subtractive_clustering
 from adaptrack.paper import anfis as module
 
@@ -84,7 +84,7 @@ def test_the_premise_gradient_is_that_of_finite_differences(bell):
     def error(premises):
         return ((replace(system, premises=premises).predict(x) - y) ** 2).mean() / 2
 
-    for m, column in itertools.product(range(5), (WIDTH, SLOPE, CENTRE)):
+    for m, column in itertools.product(range(5), (BELL_WIDTH, BELL_SLOPE, BELL_CENTRE)):
         up, down = system.premises.copy(), system.premises.copy()
         up[m, column] += 1e-5
         down[m, column] -= 1e-5

@@ -16,8 +16,8 @@ from numpy.testing import assert_array_equal
 
 import adaptrack as at
 from adaptrack.base import checked as checks
-from adaptrack.base.checked import real, reals, whole
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.checked import real, reals, whole_number
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.road import Line, Road, fit_road, road_through
 
 CAR = at.load_vehicle("compact-ev")
@@ -30,10 +30,10 @@ NO_NUMBERS: tuple[Any, ...] = (
 TOO_LARGE: tuple[Any, ...] = (10**400, -(10**400), 10**5000, fractions.Fraction(10**400, 3))
 
 
-def refusal(call: Any, *value: Any) -> str:
+def refusal(call: Any, *arguments: Any) -> str:
     """The sentence by which something is refused."""
     with pytest.raises(InvalidInput) as refused:
-        call(*value)
+        call(*arguments)
     return str(refused.value)
 
 
@@ -116,10 +116,10 @@ def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence()
         "mass": lambda value: at.identify({}, mass=value, wheelbase=2.7),
     }
     for name, call in calls.items():
-        for value in (*NO_NUMBERS, *TOO_LARGE):
-            assert len(refusal(call, value)) < 400, name
+        for no_number in (*NO_NUMBERS, *TOO_LARGE):
+            assert len(refusal(call, no_number)) < 400, name
     for value in (None, *NO_NUMBERS, -(10**5000), 1.5):
-        refusal(whole, "here", "n", value)
+        refusal(whole_number, "here", "n", value)
 
 
 def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite() -> None:
@@ -138,8 +138,17 @@ def test_what_is_no_road_ahead_is_refused_and_moves_no_command(make: Any) -> Non
 
 
 def test_numbers_of_every_kind_are_read_and_what_is_masked_is_not_a_number() -> None:
-    value = [1, 2.5, np.float32(0.5), np.int8(-3), decimal.Decimal("0.25"), fractions.Fraction(3, 4), 10**400, -(2**70)]
-    assert_array_equal(reals("x", value), [1.0, 2.5, 0.5, -3.0, 0.25, 0.75, math.inf, -(2.0**70)])
+    numbers = [
+        1,
+        2.5,
+        np.float32(0.5),
+        np.int8(-3),
+        decimal.Decimal("0.25"),
+        fractions.Fraction(3, 4),
+        10**400,
+        -(2**70),
+    ]
+    assert_array_equal(reals("x", numbers), [1.0, 2.5, 0.5, -3.0, 0.25, 0.75, math.inf, -(2.0**70)])
     assert_array_equal(reals("x", np.ma.masked_array([1.0, 2.0], [False, True])), [1.0, math.nan])
     assert reals("x", 3).shape == ()
     row = np.arange(3.0)
@@ -151,7 +160,7 @@ def test_a_value_in_a_message_is_short_whatever_it_is() -> None:
         def __repr__(self) -> str:
             raise RuntimeError
 
-    assert shown("a") == "'a'"
-    assert shown(10**5000) == "<int>"
-    assert shown(Broken()) == "<Broken>"
-    assert len(shown(list(range(1000)))) <= 80
+    assert format_value("a") == "'a'"
+    assert format_value(10**5000) == "<int>"
+    assert format_value(Broken()) == "<Broken>"
+    assert len(format_value(list(range(1000)))) <= 80

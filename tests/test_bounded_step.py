@@ -29,13 +29,13 @@ def capped(most):
 
 def test_a_step_beyond_its_changes_follows_the_last_plan_and_says_so():
     mpc = capped(3)
-    told = mpc.step([0.0, 0.0, 0.0, 0.001], 15.0, [0.0])
-    assert told.status is QPStatus.SOLVED
+    command = mpc.step([0.0, 0.0, 0.0, 0.001], 15.0, [0.0])
+    assert command.status is QPStatus.SOLVED
     planned = mpc._mpc.plan[0, 1]
-    held = mpc.step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0])
-    assert (held.status, held.held) == (QPStatus.CAPPED, True)
-    assert held.iterations <= 4
-    assert held.move == pytest.approx(np.clip(planned, -0.02, 0.02), abs=1e-15)
+    second = mpc.step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0])
+    assert (second.status, second.held) == (QPStatus.CAPPED, True)
+    assert second.iterations <= 4
+    assert second.move == pytest.approx(np.clip(planned, -0.02, 0.02), abs=1e-15)
     assert capped(None).step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0]).status is QPStatus.SOLVED
 
 
@@ -69,7 +69,7 @@ def test_a_tracker_keeps_nothing_of_its_calls(make):
     tracemalloc.start()
     try:
         calls(100, 3000)
-        kept = tracemalloc.get_traced_memory()[0]
+        memory = tracemalloc.get_traced_memory()[0]
     finally:
         tracemalloc.stop()
-    assert kept < 60_000  # bytes, of NumPy's caches; one float (24) of each call would be 72,000
+    assert memory < 60_000  # bytes, of NumPy's caches; one float (24) of each call would be 72,000

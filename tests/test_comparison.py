@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.statistics import RESAMPLES
+from adaptrack.base.statistics import BOOTSTRAP_RESAMPLES
 from adaptrack.cars.plant import SingleTrack
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
@@ -59,7 +59,7 @@ def test_all_ratios_share_their_resamples_so_that_the_other_way_round_is_the_rec
     ratio, other = comparison.ratio("nn", "anfis"), comparison.ratio("anfis", "nn")
     assert (1.0 / other.mean, 1.0 / other.high, 1.0 / other.low) == pytest.approx(ratio, rel=1e-3)
     assert compared(nn=comparison.costs["nn"]).rows()[1] == compared(nn=comparison.costs["nn"]).rows()[1]
-    assert RESAMPLES >= 1000
+    assert BOOTSTRAP_RESAMPLES >= 1000
 
 
 def test_a_run_that_fails_with_any_of_its_seeds_is_one_failure():

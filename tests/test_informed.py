@@ -22,10 +22,10 @@ from adaptrack.control.controllers import (
     informed_tuning,
     published_mpc,
 )
-from adaptrack.control.controllers.belief import ASSUMED
+from adaptrack.control.controllers.belief import ASSUMED_SOURCE
 from adaptrack.control.estimation import Deadbeat, check_estimator, get_estimator
 from adaptrack.control.kalman import SENSORS, Drifts, KalmanFilter, SensorNoise
-from adaptrack.control.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
+from adaptrack.control.models import MEASURED_STATES, PathModel, SingleTrackModel, check_model, get_model
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core.estimators.kalman import memory_of
 from adaptrack.drive.batch import rollout_batch
@@ -182,7 +182,7 @@ def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_
     samples = np.full((80, 5), np.nan)
     for k in range(80):
         for i, name in enumerate(model.states):
-            samples[k, MEASURED.index(name)] = states[steps * k][i]
+            samples[k, MEASURED_STATES.index(name)] = states[steps * k][i]
     before = np.concatenate([[0.0], given[:-1]])
     found = run_kernel(KalmanFilter(SensorNoise(wheel_angle=0.001)), model, np.full(80, 15.0), samples, before)
     expected = np.array([states[steps * k + late] for k in range(80)])
@@ -221,7 +221,7 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
         for k in range(60):
             measured = np.full(5, np.nan)
             for i, name in enumerate(model.states):
-                place = MEASURED.index(name)
+                place = MEASURED_STATES.index(name)
                 measured[place] = z[i] + (rng.normal() * noise[place] if math.isfinite(noise[place]) else math.nan)
             if k == 0:
                 textbook.step(18.0, measured, 0.0)
@@ -288,7 +288,7 @@ def test_a_pose_that_stays_the_same_against_a_path_that_turns_is_new():
 
 
 def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_then_holds(rng):
-    own = dataclasses.replace(KalmanFilter.of_profile(load_profile("road")), patience=0.5)
+    own = dataclasses.replace(KalmanFilter.from_profile(load_profile("road")), patience=0.5)
     mpc, found = MPC(CAR, profile="road", estimator=own), []
     for k in range(60):
         state = rng.normal(size=4) * [0.05, 0.003, 0.01, 0.03]
@@ -397,7 +397,7 @@ def test_one_constant_drives_either_car_in_noise_lag_and_delay():
         car = load_vehicle(name)
         plant, mpc = DualTrack(car, "magic-formula") if name == "paper" else DualTrack(car), MPC(car, profile="road")
         runs = rollout_batch(
-            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (16, 1)), which=np.arange(16), profile="road",
+            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (16, 1)), scenario_indices=np.arange(16), profile="road",
             seeds=np.arange(16),
         )  # fmt: skip
         cost = runs.mse + load_profile("road").move_weight * runs.mean_squared_move
@@ -438,8 +438,8 @@ def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and
     assert set(mpc.belief.assumed) == {"lag", "dead_time", "rate", "limit"}
     assert mpc.tuning.R > informed_tuning("road").R
     assert mpc.limits.move == Limits().move  # too slow a model behind bounded moves loses the car
-    assert ASSUMED in repr(mpc)
-    assert ASSUMED in mpc.describe()["belief"]
+    assert ASSUMED_SOURCE in repr(mpc)
+    assert ASSUMED_SOURCE in mpc.describe()["belief"]
 
 
 def test_of_an_unknown_steering_neither_file_nor_profile_is_believed_but_the_sensors_are():
@@ -459,7 +459,7 @@ def test_without_any_knowledge_of_the_steering_either_car_is_kept(lag):
         plant = DualTrack(car, steering=SteeringActuator(lag=lag, rate=0.5))
         mpc = MPC(car, learning=None)
         runs = rollout_batch(
-            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (8, 1)), which=np.arange(8), profile="road",
+            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (8, 1)), scenario_indices=np.arange(8), profile="road",
             seeds=np.arange(8),
         )  # fmt: skip
         assert not any(runs.failed)
@@ -501,7 +501,7 @@ def test_a_scheduler_made_for_another_car_or_profile_is_told_once_with_the_remed
     mpc = MPC(CAR, profile="production", scheduler=schedule)
     assert "made for the car 'van', not 'paper'" in caplog.text
     assert "made for the profile 'road', not 'production'" in caplog.text
-    assert caplog.text.count("adaptrack adapt") == 2
+    assert caplog.text.count("adaptrack paper adapt") == 2
     World.of(DualTrack(CAR), mpc, "production", None, None, None)
     assert len(caplog.records) == 2
     World.of(DualTrack(CAR), mpc, "paper", None, None, None)

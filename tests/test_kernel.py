@@ -16,9 +16,9 @@ from adaptrack.core import library
 from adaptrack.core.kernel import (
     INTERPRETED,
     Array,
+    Field,
     Resident,
     Row,
-    Setting,
     copier,
     defaults,
     exported,
@@ -74,8 +74,8 @@ def test_a_record_is_written_where_it_is_read():
 
 
 def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
-    kind = record("Kind", [Setting("lag", "s", 0.5, "of the steering", "[0, 1)"), Setting("pair", "", (1.0, 2.0), ""),
-                           Setting("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
+    kind = record("Kind", [Field("lag", "s", 0.5, "of the steering", "[0, 1)"), Field("pair", "", (1.0, 2.0), ""),
+                           Field("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
     assert tuple(defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
     assert size_of(kind) == 4
     assert kind.field_settings["lag"].ends == (0.0, 1.0)
@@ -104,7 +104,7 @@ def test_an_exported_kernel_answers_as_its_python_does():
 )
 def test_an_array_that_is_not_what_a_kernel_takes_is_refused(wrong, why):
     with pytest.raises(TypeError, match=why):
-        vector.given(wrong)
+        vector.convert(wrong)
 
 
 @needs_compiled
@@ -187,7 +187,7 @@ def built(tmp_path, monkeypatch):
     """A copy of what was built, in place of it."""
     if not isinstance(library.loaded(), library.Library):
         pytest.skip("runs with the library")
-    for file in filter(Path.is_file, library.BUILT.iterdir()):
+    for file in filter(Path.is_file, library.BUILT_FOLDER.iterdir()):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     monkeypatch.setattr(library, "BUILT", tmp_path)
     return tmp_path
@@ -266,12 +266,13 @@ C_PROGRAM = r"""
 #include <stdio.h>
 #include "adaptrack.h"
 int main(void) {{
-    printf("%zu %zu %zu %d\n", sizeof(struct adaptrack_controllers_mpc_Mpc), sizeof(struct adaptrack_road_RoadAhead),
-           sizeof(struct adaptrack_controllers_mpc_Settings), ADAPTRACK_PLANTS_CONTRACT_STATE_VX);
+    printf("%zu %zu %zu %d\n", sizeof(struct adaptrack_controllers_mpc_Mpc),
+           sizeof(struct adaptrack_road_RoadAheadRecord), sizeof(struct adaptrack_controllers_mpc_MPCSettings),
+           ADAPTRACK_PLANTS_CONTRACT_PLANT_STATE_VX);
     double values[{count}] = {{ {values} }};
     double least = adaptrack_place_between(values[0], values[1], 0.0, 0.25);
     struct adaptrack_road_Centreline line = {{0}};
-    struct adaptrack_road_RoadAhead ahead = {{.line = line, .station = 3.0}};
+    struct adaptrack_road_RoadAheadRecord ahead = {{.line = line, .station = 3.0}};
     printf("%a %f\n", least, ahead.station);
     return 0;
 }}
@@ -281,9 +282,9 @@ int main(void) {{
 @needs_compiled
 @pytest.mark.needs("gcc")
 def test_the_header_describes_the_library_to_c(built, tmp_path):
-    from adaptrack.core.controllers.mpc import Mpc, Settings
-    from adaptrack.core.plants.contract import STATE
-    from adaptrack.core.road import RoadAhead
+    from adaptrack.core.controllers.mpc import Mpc, MPCSettings
+    from adaptrack.core.plants.contract import PLANT_STATE
+    from adaptrack.core.road import RoadAheadRecord
     from adaptrack.core.swarm import place_between
 
     low, high = 0.1, 0.7
@@ -294,7 +295,7 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
         ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
     )
     *sizes, place, answer, station = done.stdout.split()
-    expected = [8 * words(Mpc), 8 * words(RoadAhead), 8 * words(Settings), STATE.vx]
+    expected = [8 * words(Mpc), 8 * words(RoadAheadRecord), 8 * words(MPCSettings), PLANT_STATE.vx]
     assert [int(each) for each in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)
     assert float(station) == 3.0

@@ -9,7 +9,7 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import get_plant
-from adaptrack.cars.vehicle import GRAVITY, load_vehicle
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison import entry_speed as module
 from adaptrack.comparison.entry_speed import (
     TUNING_SEEDS,
@@ -31,6 +31,7 @@ from adaptrack.comparison.lane_change import (
     track_road,
 )
 from adaptrack.control.controllers import get_controller
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Line, Road
 from adaptrack.scenario.profile import load_profile

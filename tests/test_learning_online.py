@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
 
 import numpy as np
@@ -15,12 +14,12 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
-from adaptrack.control.controllers.learned import MIDDLE as MIDDLE_OF_NOBODY
 from adaptrack.control.controllers.learned import BeliefState
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.results.draw import print_figure
 from adaptrack.results.learned_picture import learned_picture, learned_quantities
@@ -56,7 +55,7 @@ def numbers(mpc):
 
 def first_hypothesis(mpc):
     """As it is before the first step."""
-    return kernel.hypothesis(0, mpc.learner.kept, mpc.learner.fresh())
+    return kernel.hypothesis(0, mpc.learner.commands, mpc.learner.fresh())
 
 
 def belief(mpc, name):
@@ -78,7 +77,7 @@ def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative
 
     def turn(lag):
         own = first_hypothesis(mpc)
-        own.x[kernel.LAG] = lag
+        own.x[kernel.STEERING_LAG] = lag
         entry(kernel._steer)(own, time, rate, command)
         return own
 
@@ -98,14 +97,14 @@ def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative
 def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
     mpc = learner()
     own, angle = first_hypothesis(mpc), 1e-4
-    own.x[[kernel.VY, kernel.RATE, kernel.WIND]] = 2e-3, 1e-3, 0.0
+    own.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE, kernel.WIND_FORCE]] = 2e-3, 1e-3, 0.0
     own.swept = angle * PERIOD
     a, inputs = PathModel(HALF, PERIOD).continuous(speed)
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
     exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
     entry(kernel._predict_state)(own, speed, 0.0, numbers(mpc), np.zeros((2, 16)))
-    np.testing.assert_allclose(own.x[[kernel.VY, kernel.RATE]], exact, rtol=3e-4, atol=1e-9)
+    np.testing.assert_allclose(own.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], exact, rtol=3e-4, atol=1e-9)
 
 
 def test_rows_of_the_prediction_are_its_derivatives():
@@ -114,14 +113,14 @@ def test_rows_of_the_prediction_are_its_derivatives():
 
     def after(state, change):
         own, rows = first_hypothesis(mpc), np.zeros((2, 16))
-        own.x[: kernel.LAG] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
+        own.x[: kernel.STEERING_LAG] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
         own.x[state] += change
         own.swept = 0.002 * PERIOD
         step(own, SPEED, 0.0, p, rows)
-        return own.x[[kernel.VY, kernel.RATE]], rows
+        return own.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], rows
 
-    _, rows = after(kernel.VY, 0.0)
-    for state in range(kernel.LAG):
+    _, rows = after(kernel.LATERAL_VELOCITY, 0.0)
+    for state in range(kernel.STEERING_LAG):
         slopes = (after(state, 1e-5)[0] - after(state, -1e-5)[0]) / 2e-5
         # phi_1 is held while it is differentiated
         assert np.linalg.norm(rows[:, state] - slopes) < 0.1 * np.linalg.norm(slopes) + 1e-5, state
@@ -136,7 +135,7 @@ def test_a_controller_told_wrongly_finds_delay_stiffness_bias_and_noise(profile)
     noisy = own.replace(noise_yaw_rate=2.0 * own.noise_yaw_rate)
     run = rollout(DualTrack(CAR), mpc, random_drive(11, 60.0), profile=noisy, seed=1)
     assert run.failed is None
-    last = {name: run.diagnostics[name][-1] for name in kernel.BELIEFS}
+    last = {name: run.diagnostics[name][-1] for name in kernel.BELIEF_NAMES}
     assert last["belief_delay"] == pytest.approx(0.32, abs=0.03)
     assert last["belief_stiffness"] == pytest.approx(1.6, rel=0.15)
     assert last["belief_bias"] == pytest.approx(-0.012, abs=0.004)
@@ -174,14 +173,14 @@ def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
     assert run.diagnostics["belief_delay"][-1] == pytest.approx(0.32, abs=0.05)
     again = simulate(DualTrack(CAR), learner(), trip, profile=world(), seed=1)
     np.testing.assert_array_equal(run.command, again.command)
-    for name in kernel.BELIEFS:
+    for name in kernel.BELIEF_NAMES:
         np.testing.assert_array_equal(run.diagnostics[name], again.diagnostics[name])
     assert learned_quantities(run)["delay"].truth[0] == pytest.approx(0.32)
     figure = print_figure(learned_picture({"informed": run}))
     titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]
     assert titles[:2] == ["Lag and dead time", "Steering lag"]
     with pytest.raises(InvalidInput, match="needs a controller that learns"):
-        learned_picture({"informed": dataclasses.replace(run, diagnostics={})})
+        learned_picture({"informed": rollout(DualTrack(CAR), MPC(CAR, profile="road"), trip, profile=world(), seed=1)})
 
 
 @compiled
@@ -199,7 +198,7 @@ def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_no
     assert said["used_caution"][-1] > 2.0
     wide = rollout(DualTrack(CAR), MPC(CAR, profile="road", belief="unknown", learning=Learning()),
                    random_drive(11, 20.0), profile=world(lag=0.5, dead_time=0.1, bias=0.0), seed=1)  # fmt: skip
-    assert wide.diagnostics["belief_lag"][-1] > 0.4 > MIDDLE_OF_NOBODY[0]
+    assert wide.diagnostics["belief_lag"][-1] > 0.4 > PUBLISHED_MEDIAN[0]
 
 
 # -- when it doubts ---------------------------------------------------------------------------------------------------
@@ -208,9 +207,9 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
     driven(mpc, 40)
     memory = kernel.memory_of(mpc._mpc.informed.learned[0], 0)
     for i in range(4):
-        each = kernel.hypothesis(i, mpc.learner.kept, mpc._mpc.informed.learned[0])
-        each.covariance[kernel.STIFFNESS] = each.covariance[:, kernel.STIFFNESS] = 0.0
-        each.covariance[kernel.STIFFNESS, kernel.STIFFNESS] = 1e-4
+        each = kernel.hypothesis(i, mpc.learner.commands, mpc._mpc.informed.learned[0])
+        each.covariance[kernel.STIFFNESS_SCALE] = each.covariance[:, kernel.STIFFNESS_SCALE] = 0.0
+        each.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-4
     known = 2.0 * 1e-2
     memory.disagreement = 20.0
     sigmas, cautions = [], []
@@ -262,7 +261,7 @@ def test_missing_and_repeated_samples_teach_nothing(sample):
 def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     mpc = learner()
     driven(mpc)
-    kernel.hypothesis(0, mpc.learner.kept, mpc._mpc.informed.learned[0]).x[0] = math.nan
+    kernel.hypothesis(0, mpc.learner.commands, mpc._mpc.informed.learned[0]).x[0] = math.nan
     answer = mpc.step([0.01, 0.0, 0.01, 0.02], SPEED, np.zeros(40))
     assert math.isfinite(answer.angle)
     np.testing.assert_array_equal(mpc._mpc.informed.learned[0], mpc.learner.fresh())
@@ -277,7 +276,7 @@ def test_a_speed_that_is_no_number_does_not_spoil_what_is_learned(speed):
     driven(mpc)
     mpc.step([0.0, 0.0, 0.0, 0.0], speed, np.zeros(40))
     driven(mpc, 5)
-    assert all(math.isfinite(belief(mpc, name)) for name in kernel.BELIEFS)
+    assert all(math.isfinite(belief(mpc, name)) for name in kernel.BELIEF_NAMES)
 
 
 LEARNED_VAN = LearnedCar(car="van", lag=0.2, lag_sigma=0.01, dead_time=0.1, dead_time_sigma=0.01, delay_sigma=0.01,

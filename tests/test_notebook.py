@@ -13,7 +13,7 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
 from adaptrack.results.record import DrawnCar, DriveRecord
 from adaptrack.results.record import on_road as place_on_road
@@ -24,7 +24,9 @@ def driven(road, /, *, laps=1.0, offset=0.2, **more):
     """A run at 10 m/s, `offset` m to the left of the centre line."""
     t = 0.1 * np.arange(int(laps * road.length))
     place = road.at(10.0 * t)
-    values = {column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in COLUMNS}
+    values = {
+        column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in TRAJECTORY_COLUMNS
+    }
     values |= {
         "t": t, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading, "vx": np.full(t.size, 10.0), "v_ref": np.full(t.size, 10.0),
@@ -127,7 +129,7 @@ def objects():
         "car": (load_vehicle("midsize-sedan"), ["midsize-sedan", "mass", "kg"]),
         "schedule": (rule, ["Input speed", "3.00 to 30.0 m/s", "Guard", "none"]),
         "constant": (Constant(Tuning(Np=20, Nc=4, Q=1.0, R=1.0)), ["Entry Np"]),
-        "data": (small_data.small(), ["Operating points", "searched by swarms"]),
+        "data": (small_data.small(), ["Operating points", "swarms searched"]),
         "comparison": (contenders(), ["mine &lt;b&gt;", "0.500 (0.500 to 0.500); failed in 0"]),
     }
 

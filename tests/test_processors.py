@@ -17,9 +17,9 @@ import pytest
 import adaptrack as at
 from adaptrack.core import library
 from adaptrack.core.build.objects import undefined
-from adaptrack.core.controllers.mpc_step import Step
+from adaptrack.core.controllers.mpc_step import MPCStep
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.core.maths.values import NAMES
+from adaptrack.core.maths.values import FUNCTION_NAMES
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.drive.batch import Batch
@@ -43,7 +43,7 @@ STEPS, AHEAD = 3000, 60
 def built(name):
     try:
         entry = library.manifest()["libraries"].get(name)
-        return None if entry is None else library.whole(entry)
+        return None if entry is None else library.verified_file(entry)
     except library.UNUSABLE:
         return None
 
@@ -89,7 +89,7 @@ def test_a_kernel_that_calls_what_the_library_lacks_is_refused_in_words():
     from adaptrack.core.build import emission
     from adaptrack.core.build.library import finished
 
-    for name in emission.TARGETS:
+    for name in emission.COMPILE_TARGETS:
         content = emission.emit(text, name)
         with pytest.raises(emission.BuildError, match=f"the kernels for {name} call .*cbrt"):
             finished(name, [content])
@@ -109,7 +109,7 @@ def elementary(rng):
     # the branch-free ones promise nothing beyond 1e5, but the same bits
     image, values = Image(), np.zeros(arguments.shape[1])
     given, found = image.put(arguments), image.put(values)
-    for number in range(len(NAMES)):
+    for number in range(len(FUNCTION_NAMES)):
         image.do(ELEMENTARY, number, given, values.size, found)
         image.do(TELL, found, values.size)
     return image
@@ -121,7 +121,7 @@ def mpc_steps(rng):
     mpc.step(np.zeros(4), 15.0, np.zeros(AHEAD))
     mpc.reset()
     now, reference, image = np.array([0.0, AHEAD]), np.zeros(AHEAD), Image()
-    given = image.record(Step(mpc._mpc, mpc.functions, now, reference, mpc._requested))
+    given = image.record(MPCStep(mpc._mpc, mpc.functions, now, reference, mpc._requested))
     speed_now, ahead = image.put(now), image.put(reference)
     measured, answer = image.put(mpc._mpc.measured), image.put(mpc._mpc.answer)
     inputs = np.zeros((STEPS, 1 + mpc._mpc.measured.size + AHEAD))
@@ -185,7 +185,7 @@ def synthesis(rng):
             image.do(TELL, image.put(values), values.nbytes // 8)
     car = at.load_vehicle("van")
     common = row_of(laws.Common, period=0.05, move_min=-0.1, move_max=0.1, angle_min=-0.5, angle_max=0.5)
-    tuning, gains = np.array([1.0, 100.0, 1000.0, 0.0]), np.zeros(laws.LQR)
+    tuning, gains = np.array([1.0, 100.0, 1000.0, 0.0]), np.zeros(laws.LQR_NUMBERS)
     given = [image.put(values) for values in (np.array([car.numbers]), np.array([common]), tuning, gains)]
     image.do(GAINS, *given)
     image.do(TELL, given[-1], gains.size)

@@ -14,7 +14,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import Column
 from adaptrack.control.scheduling import Constant, check_scheduler
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import reproduce as paper
 from adaptrack.paper.reproduce import best_of_library, grid_lookup, reproduce
 from adaptrack.paper.schedules import trained_schedule
@@ -28,7 +28,7 @@ from small_data import LIBRARY, SEARCH, small
 pytestmark = pytest.mark.compiled
 
 CONFIGURATIONS = ("released", "same-moves")
-TESTS = tuple(PUBLISHED)
+TESTS = tuple(PAPER_MSE)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_the_papers_errors_stand_beside_the_runs_that_they_compare_with(study):
                 for row in study.rows
                 if row["configuration"] == configuration and row["scenario"] == test and row["paper_mse"] is not None
             }
-            published = PUBLISHED[test].mse
+            published = PAPER_MSE[test].mse
             assert paper_errors == {standard: published["standard"], "nn": published["nn"], "anfis": published["anfis"]}
     for row in study.rows:
         assert not (row["preview"] and row["paper_mse"])

@@ -15,8 +15,8 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core import loop
-from adaptrack.core.controllers.mpc import ANSWER
-from adaptrack.core.plants.contract import STATE
+from adaptrack.core.controllers.mpc import MPC_ANSWER
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.simulate import rollout, simulate
@@ -169,14 +169,14 @@ FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start():
     for delay, periods in ((0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)):
         for estimate, truth in zip(
-            Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True
+            Perception(delay=delay).perceive(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True
         ):
             np.testing.assert_array_equal(estimate, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
 
 
 def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
     perception = Perception(noise=0.5, bias=0.5, delay=1.0, withheld=True, nominal_friction=0.7)
-    friction, wind = perception.known(FRICTION, WIND, 0.05, 0)
+    friction, wind = perception.perceive(FRICTION, WIND, 0.05, 0)
     assert (friction == 0.7).all()
     assert (wind == 0.0).all()
 
@@ -185,7 +185,9 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     friction, wind = np.full(20_000, 0.6), np.full(20_000, -12.0)
     errors = [
         estimate / truth - 1.0
-        for estimate, truth in zip(Perception(noise=0.1).known(friction, wind, 0.05, 4), (friction, wind), strict=True)
+        for estimate, truth in zip(
+            Perception(noise=0.1).perceive(friction, wind, 0.05, 4), (friction, wind), strict=True
+        )
     ]
     for error in errors:
         assert error.mean() == pytest.approx(0.0, abs=0.003)
@@ -205,7 +207,7 @@ def tunings_of(batch, schedule, seed=0):
     trace = batch.run(
         np.zeros(1, int), START.as_array()[None], np.array([seed]), 1, traced=True, scheduler=schedule
     ).trace
-    return trace.answer[0, :, ANSWER.Np : ANSWER.R + 1], trace.state[0], trace.answer[0]
+    return trace.answer[0, :, MPC_ANSWER.Np : MPC_ANSWER.R + 1], trace.state[0], trace.answer[0]
 
 
 @pytest.mark.compiled
@@ -218,7 +220,7 @@ def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_
     signals = scenario.sample(load_profile("road").period)
     estimate = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
     if perception is not None:
-        estimate = perception.known(*truth, load_profile("road").period, 0)
+        estimate = perception.perceive(*truth, load_profile("road").period, 0)
         np.testing.assert_array_equal(
             run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(estimate)[:, :-1]
         )
@@ -252,8 +254,8 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
     np.testing.assert_allclose(tunings[:, 0], 30.0 + estimates[:, 1] / 2.0, rtol=0, atol=0.5 + 1e-9)
     for name in ("x", "y", "yaw", "vx", "vy", "yaw_rate"):
         recorded = getattr(slow, {"x": "X", "y": "Y", "yaw": "psi"}.get(name, name))
-        np.testing.assert_allclose(states[:, getattr(STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_allclose(answers[:, ANSWER.command], slow.command, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(states[:, getattr(PLANT_STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(answers[:, MPC_ANSWER.command], slow.command, rtol=0, atol=1e-9)
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(load_profile("road").period).friction.mean(axis=1)
     assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"

@@ -9,12 +9,13 @@ import pytest
 from adaptrack import Controller
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
-from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, load_vehicle
 from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import Constant, Lookup, SchedulingVariables
 from adaptrack.core.maths.random import counted_normal
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure, Reason, find_failure
 from adaptrack.drive.simulate import rollout, simulate
@@ -136,7 +137,14 @@ def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant
 
     def run(chosen, **options):
         return rollout_batch(
-            plant, mpc, drives, tunings[chosen], which=which[chosen], seeds=seeds[chosen], profile=profile, **options
+            plant,
+            mpc,
+            drives,
+            tunings[chosen],
+            scenario_indices=which[chosen],
+            seeds=seeds[chosen],
+            profile=profile,
+            **options,
         )
 
     everything = np.arange(75)
@@ -157,7 +165,7 @@ def test_a_batch_measures_what_its_trajectories_show(drives, rng):
     tunings, which, seeds = random_runs(rng, 6)
     plant, mpc = DualTrack(CAR), published_mpc(CAR, preview=True)
     driven_on = {"profile": "road", "driver": Driver(), "failure": Failure(1000.0, math.inf)}
-    batch = rollout_batch(plant, mpc, drives, tunings, which=which, seeds=seeds, **driven_on)
+    batch = rollout_batch(plant, mpc, drives, tunings, scenario_indices=which, seeds=seeds, **driven_on)
     for i in range(6):
         Np, Nc, Q, R = tunings[i]
         own = published_mpc(CAR, Tuning(int(Np), int(min(Nc, Np)), Q, R), preview=True)
@@ -569,9 +577,9 @@ def test_the_default_steps_leave_less_than_a_millimetre(profile, plant, tyre):
         {"tunings": [[35, 8, 10]]},
         {"tunings": [[35, 8, 10, math.nan]]},
         {"tunings": [[[35, 8, 10, 1]]]},
-        {"which": [1]},
-        {"which": [-1]},
-        {"which": [0, 0]},
+        {"scenario_indices": [1]},
+        {"scenario_indices": [-1]},
+        {"scenario_indices": [0, 0]},
         {"scenarios": []},
         {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
         {"controller": published_mpc(CAR, solver=Daqp())},

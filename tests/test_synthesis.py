@@ -15,7 +15,7 @@ import adaptrack as at
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers.learned import Learning
 from adaptrack.core import library
-from adaptrack.core.controllers.mpc import Settings
+from adaptrack.core.controllers.mpc import MPCSettings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
@@ -47,7 +47,7 @@ def test_numbers_are_rounded_as_they_are_printed():
 # -- a car from its mass and wheelbase --------------------------------------------------------------------------------
 def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **known):
     """Status, car and how well it is known."""
-    made, within = row_of(car.Car, mass=mass, **known), row_of(car.KnownWithin)
+    made, within = row_of(car.CarRow, mass=mass, **known), row_of(car.KnownWithinRow)
     return car.complete_car(wheelbase, load, truck, made, within), made, within
 
 
@@ -55,13 +55,13 @@ def completed(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **known):
 def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, truck):
     """Dynamic index, cornering coefficients, balance of loads: as published, to the digits that are printed."""
     status, made, within = completed(mass, wheelbase, truck=truck)
-    assert status == car.COMPLETE
+    assert status == car.OK
     assert made.lf + made.lr == pytest.approx(wheelbase, abs=1e-5)
     assert made.yaw_inertia / (mass * made.lf * made.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
     front, rear = mass * GRAVITY * made.lr / wheelbase, mass * GRAVITY * made.lf / wheelbase
     assert (2 * made.stiffness_front / front, 2 * made.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
     assert within.stiffness_front == within.stiffness_rear == 1.62
-    assert not any(math.isnan(made[name]) for name in car.Car._fields)
+    assert not any(math.isnan(made[name]) for name in car.CarRow._fields)
 
 
 def test_what_is_given_of_a_car_stays_and_has_no_spread():
@@ -81,30 +81,30 @@ def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
     ]:  # fmt: skip
         found, made, within = completed(**given)
         assert found == status, given
-        assert {name for name in car.Car._fields if not math.isnan(made[name])} <= {"mass", "lf", "lr"}
-        assert within.said == 0
+        assert {name for name in car.CarRow._fields if not math.isnan(made[name])} <= {"mass", "lf", "lr"}
+        assert within.is_given == 0
 
 
 # -- belief -----------------------------------------------------------------------------------------------------------
 def test_each_number_of_the_steering_is_from_the_first_that_says_it():
     given, own, actuator = (
-        row_of(car.Steering, lag=0.1), row_of(car.Steering, lag=0.2, dead_time=0.07),
-        row_of(car.Steering, lag=0.3, dead_time=0.3, rate=math.inf),
+        row_of(car.SteeringRow, lag=0.1), row_of(car.SteeringRow, lag=0.2, dead_time=0.07),
+        row_of(car.SteeringRow, lag=0.3, dead_time=0.3, rate=math.inf),
     )  # fmt: skip
-    found = row_of(belief.Belief)
+    found = row_of(belief.BeliefRow)
     belief.believe_steering(given, own, actuator, 0.05, found)
     assert (found.lag, found.dead_time, found.computation, found.rate) == (0.1, 0.07, 0.05, math.inf)
     assert (found.lag_source, found.dead_time_source, found.rate_source, found.limit_source) == (
-        belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.ASSUMED,
+        belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.SLOW_ASSUMED,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("computation", [0.0, 0.05, 0.1])
 @pytest.mark.parametrize("said", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
 def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones(said, computation):
-    found = row_of(belief.Belief)
+    found = row_of(belief.BeliefRow)
     belief.believe_steering(
-        row_of(car.Steering, **said), row_of(car.Steering), row_of(car.Steering), computation, found
+        row_of(car.SteeringRow, **said), row_of(car.SteeringRow), row_of(car.SteeringRow), computation, found
     )
     longest = max(0.4 - min(computation, 0.05) - 1e-9, sum(said.values()))
     assert longest <= found.lag + found.dead_time <= longest + 0.05
@@ -113,7 +113,7 @@ def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones
 
 def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
     def caution(lag=0.0, dead_time=0.0, stiffness=1.0, mass=0.0):
-        unsure = row_of(belief.Uncertainty, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass)
+        unsure = row_of(belief.UncertaintyRow, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass)
         return belief.caution_of(unsure)
 
     assert caution() == 1.0
@@ -128,7 +128,7 @@ def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
 def test_horizons_and_weight_are_times_and_so_do_not_know_the_control_period(preview):
     found = {}
     for period in (0.025, 0.05, 0.1):
-        world = row_of(tuning.World, period=period, preview=preview, move_weight=0.0, noise_vy=0.1)
+        world = row_of(tuning.ControllerWorld, period=period, preview=preview, move_weight=0.0, noise_vy=0.1)
         out = np.zeros(4)
         tuning.tune_informed(world, 1.0, 1000, 200, out)
         Np, Nc, Q, R = out
@@ -140,14 +140,14 @@ def test_horizons_and_weight_are_times_and_so_do_not_know_the_control_period(pre
 def test_horizons_stay_within_their_bounds():
     out = np.zeros(4)
     for period, expected in ((1e-4, (60, 20)), (10.0, (2, 1))):
-        tuning.tune_informed(row_of(tuning.World, period=period, noise_vy=0.1), 1.0, 60, 20, out)
+        tuning.tune_informed(row_of(tuning.ControllerWorld, period=period, noise_vy=0.1), 1.0, 60, 20, out)
         assert tuple(out[:2]) == expected
 
 
 # -- filter -----------------------------------------------------------------------------------------------------------
 def test_a_dead_time_is_whole_periods_and_a_share():
     for time, period in ((0.0, 0.05), (0.15, 0.05), (0.17, 0.05), (0.3, 0.1), (1.0, 0.03)):
-        whole, share = filter.in_periods(time, period)
+        whole, share = filter.split_periods(time, period)
         assert isinstance(whole, int)
         assert 0.0 <= share < 1.0
         assert (whole + share) * period == pytest.approx(time, abs=1e-9)
@@ -156,7 +156,9 @@ def test_a_dead_time_is_whole_periods_and_a_share():
 def test_sensors_that_are_off_or_too_good_are_left_out():
     def noise(**told):
         found = row_of(filter.Noise)
-        filter.sensor_noise(row_of(tuning.World, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **told}), found)
+        filter.sensor_noise(
+            row_of(tuning.ControllerWorld, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **told}), found
+        )
         return found
 
     assert noise(noise_wheel_angle=0.01).wheel_angle == 0.01
@@ -172,9 +174,9 @@ def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
     """Mean and variance of what is believed are those of the filters', and the delay's that of the sum."""
     own = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
     memory, n = own.fresh(), counts[0] * counts[1]
-    each = [learning.hypothesis(i, own.kept, memory) for i in range(n)]
-    pairs = np.array([[one.x[learning.LAG], one.x[learning.DEAD_TIME] - own.computation] for one in each])
-    grains = np.array([one.covariance[learning.LAG, learning.LAG] for one in each])
+    each = [learning.hypothesis(i, own.commands, memory) for i in range(n)]
+    pairs = np.array([[one.x[learning.STEERING_LAG], one.x[learning.DEAD_TIME] - own.computation] for one in each])
+    grains = np.array([one.covariance[learning.STEERING_LAG, learning.STEERING_LAG] for one in each])
     believed = learning.memory_of(memory, 0).beliefs
     assert (believed.belief_lag, believed.belief_dead_time) == pytest.approx(tuple(pairs.mean(axis=0)))
     assert believed.belief_lag_sigma**2 == pytest.approx(pairs[:, 0].var() + grains.mean())
@@ -251,11 +253,13 @@ def test_a_system_that_cannot_be_steered_is_a_status():
 def test_the_gains_of_the_lqr_are_those_of_scipy():
     vehicle = load_vehicle("van")
     own = at.LQR(vehicle, q_e=2.0, q_heading=50.0, r=800.0, period=0.05)
-    grid = own.parameters()[len(laws.lqr.PARAMETERS) :].reshape(laws.SPEEDS, laws.WEIGHTS, laws.WEIGHTS, 4)
-    factors = 10.0 ** np.linspace(-2.0, 2.0, laws.WEIGHTS)
+    grid = own.parameters()[len(laws.lqr.PARAMETERS) :].reshape(
+        laws.GAIN_SPEED_COUNT, laws.GAIN_WEIGHTS, laws.GAIN_WEIGHTS, 4
+    )
+    factors = 10.0 ** np.linspace(-2.0, 2.0, laws.GAIN_WEIGHTS)
     for i, j, k in ((0, 4, 4), (10, 4, 4), (20, 4, 4), (10, 0, 8), (5, 8, 0)):
         a, b = np.zeros((4, 4)), np.zeros(4)
-        laws.sampled_error_model(vehicle.numbers, 0.05, np.geomspace(1.0, 60.0, laws.SPEEDS)[i], a, b)
+        laws.sampled_error_model(vehicle.numbers, 0.05, np.geomspace(1.0, 60.0, laws.GAIN_SPEED_COUNT)[i], a, b)
         Q = np.diag([2.0 / 800.0 * factors[j], 0.0, 50.0 / 800.0 * factors[k], 0.0])
         P = solve_discrete_are(a, b[:, None], Q, np.eye(1))
         np.testing.assert_allclose(grid[i, j, k], (b @ P @ a) / (1.0 + b @ P @ b), rtol=2e-6, atol=1e-9)
@@ -265,8 +269,8 @@ def test_the_gains_of_the_lqr_are_those_of_scipy():
 def made(vehicle, options):
     """What the filter remembers, and all numbers of an MPC, by kernels alone."""
     order, parts, found = prepared(vehicle, options)
-    assert informed.informed_parts(order, parts) == informed.FINE
-    assert informed.informed_constants(order, parts, found) == informed.FINE
+    assert informed.informed_parts(order, parts) == informed.OK
+    assert informed.informed_constants(order, parts, found) == informed.OK
     for field in ("estimator", "model", "turning", "tuning"):
         shorter = found._replace(**{field: getattr(found, field)[:-1].copy()})
         assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
@@ -320,8 +324,10 @@ def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written():
 def test_the_papers_mpc_has_the_numbers_of_its_table():
     vehicle, room = load_vehicle("paper"), np.full(7, UNTOUCHED)
     nothing = np.zeros(0)
-    found = informed.Constants(Settings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing)
-    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.FINE
+    found = informed.Constants(
+        MPCSettings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing
+    )
+    assert published.published_constants(vehicle.numbers, 0.1, found) == informed.OK
     own = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
     assert found.tuning.tolist() == [35, 8, 10.0, 0.01]
     assert found.model[:6].tobytes() == own.parameters.tobytes()
@@ -330,7 +336,7 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
     settings = found.settings[0]
     assert (settings.move_max, settings.angle_max) == pytest.approx((math.radians(15.0), math.radians(30.0)))
     assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
-    assert published.published_constants(row_of(car.Car), 0.1, found) == informed.CAR_WRONG
+    assert published.published_constants(row_of(car.CarRow), 0.1, found) == informed.CAR_WRONG
     assert published.published_constants(vehicle.numbers, math.nan, found) == informed.LOOP_WRONG
 
 
@@ -343,7 +349,16 @@ def test_a_program_in_c_makes_the_same_controller(tmp_path):
     if not isinstance(found, library.Library) or found.edited:
         pytest.skip("needs the library of these sources")
     program = Path(__file__).parent / "processors" / "make.c"
-    command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", f"-I{library.BUILT}", str(program), str(found.path)]
+    command = [
+        compiler,
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-I{library.BUILT_FOLDER}",
+        str(program),
+        str(found.path),
+    ]
     subprocess.run([*command, "-o", str(tmp_path / "make"), "-lm"], check=True)
     subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
     told = np.fromfile(tmp_path / "answers")

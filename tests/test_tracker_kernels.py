@@ -16,7 +16,7 @@ from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.follow import tracker_follow
 from adaptrack.core.tracker.give import tracker_engage
-from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, SAMPLE, TRACKED
+from adaptrack.core.tracker.records import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.ahead import pack_roads, stacked
@@ -122,11 +122,11 @@ def test_no_call_leaves_a_command_that_is_no_number(name, rng):
 
 
 @pytest.mark.parametrize("value", HOSTILE)
-@pytest.mark.parametrize("field", SAMPLE._fields[2:])
+@pytest.mark.parametrize("field", TRACKER_SAMPLE._fields[2:])
 def test_what_is_absurd_in_the_first_sample_gives_a_status(field, value):
     tracking, step = compiled(MAKERS["pure pursuit"]())
     sample = [0.0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0]
-    sample = [value if name == field else each for name, each in zip(SAMPLE._fields, sample, strict=False)]
+    sample = [value if name == field else each for name, each in zip(TRACKER_SAMPLE._fields, sample, strict=False)]
     found = call(tracking, step, *sample)
     assert math.isfinite(found[TRACKED.command])
     assert found[TRACKED.status] in range(10)
@@ -156,7 +156,7 @@ def test_without_a_path_the_command_is_held():
     tracking, step = compiled(MAKERS["LQR"]())
     bare = tracking._replace(tracker=tracking.tracker._replace(path=pack_roads([])))
     assert call(bare, stepper(bare), 0.0, 0.0, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == HELD
-    assert call(tracking, step, 0.1, 0.1, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == OK
+    assert call(tracking, step, 0.1, 0.1, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == FOLLOWING
 
 
 # -- where the car begins ---------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("llvmlite", reason="what builds the kernels")
 from adaptrack.core import library
 from adaptrack.core.build.emission import emit
-from adaptrack.core.build.page import CALLED, MEMBERS
+from adaptrack.core.build.page import CALLED, PAGE_MEMBERS
 from adaptrack.core.build.wasm_link import STACK, linked
 from programs import find_program
 
@@ -116,5 +116,5 @@ def test_the_module_of_the_page_has_what_the_page_calls_and_nothing_else(tmp_pat
     imports, exports = json.loads(found)
     assert imports == []
     assert sorted(exports) == sorted(
-        ["memory", "__indirect_function_table", *(f"adaptrack_{each}" for each in (*CALLED, *MEMBERS))]
+        ["memory", "__indirect_function_table", *(f"adaptrack_{each}" for each in (*CALLED, *PAGE_MEMBERS))]
     )

@@ -28,9 +28,9 @@ def _tyres() -> Descriptions:
 
 
 def _roads() -> Descriptions:
-    from adaptrack.road import KINDS
+    from adaptrack.road import ROAD_KINDS
 
-    return dict.fromkeys(KINDS, "generated; country:3 is the country road with seed 3")
+    return dict.fromkeys(ROAD_KINDS, "generated; country:3 is the country road with seed 3")
 
 
 def _scenarios() -> Descriptions:

@@ -16,7 +16,7 @@ import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.limits import WORKERS, Limit, check_limit
+from adaptrack.base.limits import WORKERS, RequestLimit, check_limit
 from adaptrack.base.registry import import_plugin
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class TargetsName(StrEnum):
     ratio = "ratio"
 
 
-def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
+def at_most(limit: RequestLimit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
     """A callback that refuses a count outside its bounds by the name of its option."""
 
     def check(option: typer.CallbackParam, value: int | None) -> int | None:

@@ -11,7 +11,7 @@ import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import DRIVES, OPERATING_POINTS, SEED
+from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import next_line, repeat_command_with
 
@@ -61,7 +61,7 @@ class EvaluateOptions:
         ),
     ] = None  # fmt: skip
     seed: Annotated[
-        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Seed of operating points and drives.")
+        int, Option("--seed", callback=options.at_most(MAX_SEED, least=0), help="Seed of operating points and drives.")
     ] = 7
     out: options.Page = None
     as_json: options.Json = False

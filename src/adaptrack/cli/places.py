@@ -134,7 +134,7 @@ def is_road(name: str) -> bool:
     InvalidInput
         When it may be both; the message has both readings.
     """
-    from adaptrack.road.generate import KINDS
+    from adaptrack.road.generate import ROAD_KINDS
     from adaptrack.scenario import list_scenarios
 
     ending = Path(name).suffix.lower()
@@ -149,12 +149,12 @@ def is_road(name: str) -> bool:
     if ending in _ROAD_ENDINGS:
         return True
     scenarios = list(list_scenarios())
-    if name in scenarios and name in KINDS:
+    if name in scenarios and name in ROAD_KINDS:
         raise InvalidInput(f"{name}: names a scenario and a kind of road; write the one you mean to a file.")
-    if name not in scenarios and name not in KINDS:
-        hint = did_you_mean(name, [*scenarios, *KINDS])
+    if name not in scenarios and name not in ROAD_KINDS:
+        hint = did_you_mean(name, [*scenarios, *ROAD_KINDS])
         raise UnknownName(f"no scenario or road is named {name!r}. {hint} A file ends in {', '.join(_ROAD_ENDINGS)}.")
-    return name in KINDS
+    return name in ROAD_KINDS
 
 
 def _toml_marks(file: Path) -> tuple[list[str], list[str]]:

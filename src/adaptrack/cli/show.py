@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.progress import Work, now_and_then, showing
+from adaptrack.base.progress import TrackedWork, now_and_then, showing
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.base.text import printable as escaped
@@ -68,7 +68,7 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
 
     label, total: see `base.progress.Work`. Where something else is on show already, nothing is shown.
     """
-    work = Work(label, total)
+    work = TrackedWork(label, total)
     with showing(work) as alone:
         if not alone:
             yield work.update
@@ -78,7 +78,7 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
 
 
 @contextmanager
-def _bar(work: Work) -> Iterator[Show]:
+def _bar(work: TrackedWork) -> Iterator[Show]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
@@ -103,7 +103,7 @@ def _bar(work: Work) -> Iterator[Show]:
 
 
 @contextmanager
-def _lines(work: Work) -> Iterator[Show]:
+def _lines(work: TrackedWork) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:

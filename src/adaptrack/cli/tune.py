@@ -84,9 +84,9 @@ def tune(settings: TuneOptions) -> None:
 
 def _check_options(settings: TuneOptions) -> None:
     """Refuse a road in place of the car, and options of the other kind of search."""
-    from adaptrack.road import KINDS
+    from adaptrack.road import ROAD_KINDS
 
-    if settings.car in KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
+    if settings.car in ROAD_KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
         raise InvalidInput(
             f"tune {settings.car}: is a road; name the car first: tune CAR --road {settings.car} --out FOLDER."
         )

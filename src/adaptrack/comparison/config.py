@@ -17,7 +17,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
 from adaptrack.road import Comfort, load_road, plan_speed
-from adaptrack.road.generate import KINDS
+from adaptrack.road.generate import ROAD_KINDS
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
 from adaptrack.scenario.profile import Profile, load_profile
@@ -212,6 +212,6 @@ def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scena
         return random_drive(int(seed or 0), duration, **car.domain.drive_options)
     if where in list_scenarios():
         return load_scenario(where)
-    road = load_road(kind, seed=int(seed or 0), length=length) if kind in KINDS else load_road(where)
+    road = load_road(kind, seed=int(seed or 0), length=length) if kind in ROAD_KINDS else load_road(where)
     comfort = Comfort(lateral=float(lateral)) if lateral else Comfort()
     return RoadDrive(road, plan_speed(road, car, comfort), name=name)

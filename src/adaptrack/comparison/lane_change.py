@@ -26,9 +26,10 @@ from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
@@ -232,8 +233,8 @@ def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9)
     InvalidInput
         When the speed is not positive, or the body does not fit between the cones.
     """
-    if not 0.0 < real("driven_line", "speed", speed) <= SPEED.most:
-        raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {SPEED.most:g}.")
+    if not 0.0 < real("driven_line", "speed", speed) <= MAX_SPEED.most:
+        raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
     slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
     return track_road(track, car.outline, MOST_ROOM, bend=GRIP_USE * friction * GRAVITY / speed**2, sideslip=slip)
 
@@ -319,8 +320,8 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> Speed
     InvalidInput
         When the speed is not positive, or the car stands before the end of the road.
     """
-    if not 0.0 < real("coasting_plan", "speed", speed) <= SPEED.most:
-        raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {SPEED.most:g}.")
+    if not 0.0 < real("coasting_plan", "speed", speed) <= MAX_SPEED.most:
+        raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
     s = np.linspace(0.0, road.length, math.ceil(road.length / LINE_SPACING) + 1)
     entry = float(np.interp(track.gates[0].start, road.at(s).x, s))
     drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass

@@ -315,14 +315,14 @@ def safe_candidates(stability: StabilityMap) -> Array:
     InvalidInput
         When there is none, with the largest domain that one of them holds.
     """
-    loops = Feasibility.of_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
+    loops = Feasibility.from_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
     loops = loops.among(loops.tunings[:, 3] >= 10.0**FALLBACK_RATIO)
     is_safe = loops.enough.all(axis=(0, 1))
     if is_safe.any():
         return loops.tunings[is_safe]
     message = (
         f"no constant tuning keeps the loop away from instability (modulus margin {loops.least:g}) over the whole "
-        f"domain of {loops.whole}"
+        f"domain of {loops.requested}"
     )
     if loops.constant is None:
         raise InvalidInput(f"{message}, nor at any point of it: choose another car or profile.")

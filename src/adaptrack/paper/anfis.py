@@ -28,9 +28,9 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.sugeno import (
-    CENTRE,
-    SLOPE,
-    WIDTH,
+    BELL_CENTRE,
+    BELL_SLOPE,
+    BELL_WIDTH,
     Sugeno,
     bell_exponent,
     distance,
@@ -124,11 +124,11 @@ def premise_gradient(system: Sugeno, x: Array, y: Array, weight: Array | None = 
     by_log_mu = by_log_w @ asks[:, :-1]
 
     distances = distance(x, system)
-    width, bell = system.premises[:, WIDTH], system.bell
+    width, bell = system.premises[:, BELL_WIDTH], system.bell
     inwards = distances.copy()  # -d(log mu)/d(distance)
     by_slope = np.zeros_like(distances)
     if bell.any():
-        t, slope = distances[:, bell], system.premises[bell, SLOPE]
+        t, slope = distances[:, bell], system.premises[bell, BELL_SLOPE]
         outside = expit(bell_exponent(t, slope))  # 1 - mu
         nonzero = np.where(t == 0.0, 1.0, t)
         inwards[:, bell] = np.where(t == 0.0, 0.0, 2.0 * slope * outside / nonzero)
@@ -196,8 +196,8 @@ class _Scaling(NamedTuple):
     def unscale(self, system: Sugeno) -> Sugeno:
         """Return the system for inputs x and output y, from the system for z and v."""
         premises = system.premises.copy()
-        premises[:, WIDTH] *= self.half[system.owner]
-        premises[:, CENTRE] = premises[:, CENTRE] * self.half[system.owner] + self.middle[system.owner]
+        premises[:, BELL_WIDTH] *= self.half[system.owner]
+        premises[:, BELL_CENTRE] = premises[:, BELL_CENTRE] * self.half[system.owner] + self.middle[system.owner]
         slopes = system.consequents[:, :-1] / self.half
         constant = (system.consequents[:, -1] - slopes @ self.middle) * self.spread + self.mean
         return replace(system, premises=premises, consequents=np.column_stack((slopes * self.spread, constant)))
@@ -454,6 +454,6 @@ def _numbered(inputs: int) -> list[str]:
 
 def _moved(system: Sugeno, change: Array) -> Sugeno:
     premises = system.premises + change
-    premises[:, WIDTH] = np.maximum(premises[:, WIDTH], NARROWEST)
-    premises[:, SLOPE] = np.clip(premises[:, SLOPE], *SLOPES)
+    premises[:, BELL_WIDTH] = np.maximum(premises[:, BELL_WIDTH], NARROWEST)
+    premises[:, BELL_SLOPE] = np.clip(premises[:, BELL_SLOPE], *SLOPES)
     return replace(system, premises=premises)

@@ -19,7 +19,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
-from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper.adaptation import ANYWHERE, Schedules
 from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
 from adaptrack.paper.operating_points import sobol
@@ -100,7 +100,7 @@ def evaluate_on_drives(
 def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Comparison]:
     """On the paper's two tests, in the campaign's profile; the reference is the best constant."""
     comparisons = {}
-    for name in PUBLISHED:
+    for name in PAPER_MSE:
         runs = paper_test_runs(task.evaluated_plant, task.mpc, name, task.profile, failure=FAILURE)
         comparisons[name] = compare(
             runs, _moving_contenders(schedules), EVALUATION_NOISE, BEST_CONSTANT, np.zeros((1, 1))

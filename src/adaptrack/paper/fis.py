@@ -18,7 +18,7 @@ import numpy as np
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
-from adaptrack.control.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
+from adaptrack.control.scheduling.functions.sugeno import ANY, BELL_SLOPE, BELL_WIDTH, Sugeno
 from adaptrack.paper.anfis import ANFIS
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")
@@ -283,8 +283,8 @@ class _Reader:
             self.fail(line, f"'{kind}' needs {_NUMBERS[kind]} numbers, found {len(numbers)}.")
         bell = kind == "gbellmf"
         premise = numbers if bell else [numbers[0], 1.0, numbers[1]]
-        premise[WIDTH] = abs(premise[WIDTH])  # only its square counts, or its magnitude
-        if premise[WIDTH] == 0.0 or premise[SLOPE] <= 0.0:
+        premise[BELL_WIDTH] = abs(premise[BELL_WIDTH])  # only its square counts, or its magnitude
+        if premise[BELL_WIDTH] == 0.0 or premise[BELL_SLOPE] <= 0.0:
             self.fail(line, f"'{kind}' with {numbers}: the width must not be 0, the slope must be above 0.")
         return bell, premise
 

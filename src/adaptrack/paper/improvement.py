@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.controllers import Tuning
@@ -177,7 +177,7 @@ class _Learner:
         if "offset" in start.inputs:
             raise InvalidInput("improve: the input 'offset' depends on the driving itself: leave it out.")
         for _, count in training:
-            whole("improve", "count", count)
+            whole_number("improve", "count", count)
         goal = None if safe is None else np.array([safe.Np, safe.Nc, math.log10(safe.R / safe.Q)])
         columns = [SchedulingVariables._fields.index(name) for name in start.inputs]
         return cls(tuple(start.inputs), columns, start.domain, goal, start.name)

@@ -70,7 +70,12 @@ def _rows(tests: tuple[str, ...], schedules: Mapping[str, Schedule], moves: Move
         for test in tests:
             for name, mpc in controllers(car, profile, schedules, moves).items():
                 runs = rollout_batch(
-                    plant, mpc, load_scenario(test), which=np.zeros(len(seeds), int), profile=profile, seeds=seeds
+                    plant,
+                    mpc,
+                    load_scenario(test),
+                    scenario_indices=np.zeros(len(seeds), int),
+                    profile=profile,
+                    seeds=seeds,
                 )
                 ended = np.array([reason is None for reason in runs.failed])
                 yield {

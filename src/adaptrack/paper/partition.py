@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Positive, Share, checked, whole
+from adaptrack.base.checked import Positive, Share, checked, whole_number
 from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
@@ -133,7 +133,7 @@ def grid(x: Array, n_mfs: int | Sequence[int]) -> Partition:
     sizes = list(n_mfs) if isinstance(n_mfs, Sequence | np.ndarray) else [n_mfs] * dims
     if len(sizes) != dims:
         raise InvalidInput(f"grid: n_mfs = {n_mfs!r}: {len(sizes)} numbers for {dims} inputs; give one per input.")
-    sizes = [whole("grid", "n_mfs", size) for size in sizes]
+    sizes = [whole_number("grid", "n_mfs", size) for size in sizes]
     if math.prod(sizes) > MOST_GRID_RULES:
         raise InvalidInput(
             f"grid: {' x '.join(map(str, sizes))} functions make {math.prod(sizes)} rules, at most {MOST_GRID_RULES} "

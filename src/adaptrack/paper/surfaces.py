@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno
-from adaptrack.control.scheduling.functions.sugeno import SLOPE, WIDTH
+from adaptrack.control.scheduling.functions.sugeno import BELL_SLOPE, BELL_WIDTH
 
 Array = NDArray[np.float64]
 
@@ -168,8 +168,8 @@ class FuzzySurface(Surface):
         near = distances[:, 1 : min(RULE_NEIGHBOURS + 1, rules)].mean(axis=1) if rules > 1 else np.ones(1)
         inputs = rows.shape[1]
         premises = np.empty((rules * inputs, 3))
-        premises[:, WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
-        premises[:, SLOPE] = 1.0
+        premises[:, BELL_WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
+        premises[:, BELL_SLOPE] = 1.0
         premises[:, 2] = (centres * half + low).ravel()
         consequents = np.zeros((rules, inputs + 1))
         consequents[:, -1] = value

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.analysis.certify import DRIVING, Certificate, Driving, Sweep, extremes
+from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep, extremes
 from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import (
     NEUTRAL,
@@ -87,7 +87,7 @@ def certificate_result(found: Certificate, command: str = "", next_step: str = "
     maps = [
         _margin_maps(found, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
                      getattr(sweep, driving))
-        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING
+        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING_CASES
     ]  # fmt: skip
     mismatched = found.mismatched or {}
     return Result(
@@ -128,7 +128,7 @@ def _console_tables(found: Certificate) -> list[ResultTable]:
     sweeps = [(found.guarded is not None, found.counted)]
     sweeps += [(False, found.bare)] if found.guarded is not None else []
     tables = []
-    for driving in DRIVING:
+    for driving in DRIVING_CASES:
         points = [{"guard": on, **point} for on, sweep in sweeps for point in found.worst_points(5, sweep, driving)]
         title = f"{found.scheduler}, {_TITLES[driving]}: the points nearest to instability"
         tables.append(ResultTable(f"nearest_{driving}", title, CONSOLE, with_ratio(points), brief=True))
@@ -142,7 +142,7 @@ def _console_tables(found: Certificate) -> list[ResultTable]:
 def _margin_tables(found: Certificate) -> list[ResultTable]:
     rows = [
         _extremes(name, getattr(sweep, driving)) | {"driving": _NAMES[driving]}
-        for driving in DRIVING for name, sweep in _sweeps(found)
+        for driving in DRIVING_CASES for name, sweep in _sweeps(found)
     ]  # fmt: skip
     title = "The worst of every margin, over all points"
     tables = [ResultTable("margins", title, MARGINS, rows, group="driving", alert=_unstable(rows))]
@@ -185,7 +185,7 @@ def _worst(found: Certificate) -> ResultTable:
     rows = [
         _point(point) | {"part": f"{name}, {_NAMES[driving].lower()}"}
         for name, sweep in _sweeps(found)
-        for driving in DRIVING
+        for driving in DRIVING_CASES
         for point in found.worst_points(_WORST, sweep, driving)
     ]
     unstable = where(rows, ["radius"], lambda row: row["radius"] >= 1.0)

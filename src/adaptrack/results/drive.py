@@ -15,7 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
 from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.drive.failure import DISTANCE, SLOW
+from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
@@ -126,7 +126,7 @@ def drive_result(
         values={
             "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
             "failed_runs": failed, "shown": shown, "records": _records(shown),
-            "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
+            "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": CREEPING,
                        "road_weight": load_profile("road").move_weight},
         },
         command=command,

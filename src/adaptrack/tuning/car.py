@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import Certificate, certify
 from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.checked import checked, whole
+from adaptrack.base.checked import checked, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
@@ -64,7 +64,7 @@ class TuningEffort:
 
     def __post_init__(self) -> None:
         for name, least in (("drives", 1), ("hard_drives", 1), ("judged_drives", 4)):
-            whole("TuningEffort", name, getattr(self, name), least=least)
+            whole_number("TuningEffort", name, getattr(self, name), least=least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ def tune(
     """
     began, show = time.perf_counter(), progress or (lambda work, steps, of: None)
     effort = effort or TuningEffort()
-    seed = whole("tune", "seed", seed, least=0)
+    seed = whole_number("tune", "seed", seed, least=0)
     car, driven_plant = _car_and_plant(car, plant)
     world = load_profile(profile)
     mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
@@ -200,7 +200,7 @@ def tune(
     if holdable.constant is None:
         raise InvalidInput(f"tune: {holdable.verdict}")
     constant, holdable_domain = holdable.constant
-    domain = requested.replace(**holdable_domain._asdict()) if holdable_domain != holdable.whole else requested
+    domain = requested.replace(**holdable_domain._asdict()) if holdable_domain != holdable.requested else requested
     default = mpc.tuning
     bench = _Bench(driven_plant, mpc, world, domain)
     runs = _search_runs(bench.on_twin(), effort, seed)

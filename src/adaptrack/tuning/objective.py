@@ -20,7 +20,7 @@ from adaptrack.control.controllers import MPC
 from adaptrack.core import swarm as rules
 from adaptrack.core import tune as kernels
 from adaptrack.core.kernel import Resident
-from adaptrack.core.period import Span
+from adaptrack.core.period import RunSpan
 from adaptrack.core.plants.contract import SLOTS
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
@@ -126,7 +126,7 @@ class Objective:
         slots, count = min(swarm.particles, SLOTS), swarm.particles
         _, trial = self._trial(point, slots, space.high[0], space.high[1])
         evaluation = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
-        search = kernels.Search(
+        search = kernels.SearchRecord(
             seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), evaluation,
             np.empty(swarm.generations),
         )  # fmt: skip
@@ -158,5 +158,5 @@ class Objective:
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
-        span = Span(batch.signals[0].n, slots, 0, self.weight)
+        span = RunSpan(batch.signals[0].n, slots, 0, self.weight)
         return run, Resident(kernels.Trial(run, span, noise))

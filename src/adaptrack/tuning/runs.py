@@ -31,12 +31,12 @@ from adaptrack.control.scheduling import Schedule
 from adaptrack.core.loop import SIGNAL
 from adaptrack.drive.batch import Batch, called_back, sampled
 from adaptrack.drive.failure import Failure
-from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.drive.world import KnownAs, World
 from adaptrack.road import Comfort, Road, plan_speed
-from adaptrack.road.speed import USUAL
+from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -271,7 +271,7 @@ def _compiles(controller: Controller) -> bool:
     if isinstance(controller, CompiledController):
         return True
     scheduled = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
-    return isinstance(controller, MPC) and controller.in_kernel and not scheduled
+    return isinstance(controller, MPC) and controller.runs_in_kernel and not scheduled
 
 
 def _scheduling_variables(samples: Array) -> Array:
@@ -318,7 +318,7 @@ def random_drive_runs(
 
 
 def road_runs(
-    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL,
+    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = DEFAULT_COMFORT,
     profile: str | Profile = "road", **options: Any,
 ) -> RunSet:  # fmt: skip
     """One drive along each road, at the speed that `plan_speed` gives the plant's vehicle.
@@ -344,8 +344,8 @@ def paper_test_runs(
     InvalidInput
         When it is neither.
     """
-    if name not in PUBLISHED:
-        raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PUBLISHED)}.")
+    if name not in PAPER_MSE:
+        raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PAPER_MSE)}.")
     return RunSet(plant, mpc, [load_scenario(name)], profile, **options)
 
 

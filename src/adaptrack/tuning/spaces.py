@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
-from adaptrack.control.controllers import MPC, Bounds, Controller, Tuning
+from adaptrack.control.controllers import MPC, Controller, Tuning, TuningBounds
 from adaptrack.tuning.pso import SearchSpace
 
 
@@ -112,7 +112,7 @@ def search_space(controller: Controller) -> SearchSpace:
             f"the controller {controller.name!r} has no search space: set `tuning_bounds` on its class, (low, high) "
             "for each name in `tuning`; or, in Python, call tune_constant(..., space=SearchSpace(...))."
         )
-    tuning, bounds = controller.tuning, {name: Bounds(*pair) for name, pair in controller.tuning_bounds.items()}
+    tuning, bounds = controller.tuning, {name: TuningBounds(*pair) for name, pair in controller.tuning_bounds.items()}
     scale = {name: tuning[name] if limits.relative else 1.0 for name, limits in bounds.items()}
     return SearchSpace(
         names=controller.tuning_names,
