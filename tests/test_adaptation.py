@@ -149,7 +149,7 @@ def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
         effort = Effort()
         runs, steps, shape = method["runs"], method["improvement"], method["landscape"]
         assert [learning[key] for key in ("rounds", "operating_points", "drives", "hard_drives", "rules")] == [
-            *effort[:4], adaptation.RULES
+            *effort[:4], adaptation.FUZZY_RULES
         ]  # fmt: skip
         assert (runs["held_out_points"], runs["held_out_drives"], runs["segment"]) == (*effort[4:6], 2.0)
         assert tuple(runs[f"round_{part}"] for part in ("points", "drives", "hard_drives")) == effort.round_runs
