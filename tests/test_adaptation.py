@@ -32,9 +32,8 @@ from adaptrack.paper.data_set import load_dataset
 from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
 from adaptrack.paper.learning_task import Effort, LearningTask
 from adaptrack.tuning.objective import Objective
-from adaptrack.tuning.runs import RunSet
 from small_chain import CAMPAIGN, EFFORT, learned, short_cuts, task_of, write
-from small_runs import lane_changes, run_set
+from small_runs import Rated, bowl, lane_changes, run_set
 
 EVALUATED = ("best constant", "look-up", "nn", "anfis")
 
@@ -150,7 +149,7 @@ def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
         effort = Effort()
         runs, steps, shape = method["runs"], method["improvement"], method["landscape"]
         assert [learning[key] for key in ("rounds", "operating_points", "drives", "hard_drives", "rules")] == [
-            *effort[:4], adaptation.RULES
+            *effort[:4], adaptation.FUZZY_RULES
         ]  # fmt: skip
         assert (runs["held_out_points"], runs["held_out_drives"], runs["segment"]) == (*effort[4:6], 2.0)
         assert tuple(runs[f"round_{part}"] for part in ("points", "drives", "hard_drives")) == effort.round_runs
@@ -214,24 +213,10 @@ def test_everything_that_decides_a_schedule_changes_its_identity(tmp_path, monke
 
 
 # -- constants and the look-up table ----------------------------------------------------------------------------------
-class Bowl(RunSet):
-    """Runs with the lowest cost at Np = 35, Nc = 8 and log10 R/Q = 2; nothing is driven."""
-
-    def __init__(self):
-        pass
-
-    def __len__(self):
-        return 6
-
-    def drive(self, policy, seeds, indices=None):
-        Np, Nc, Q, R = policy
-        offsets = (Np - 35.0) / 10.0, (Nc - 8.0) / 5.0, np.log10(R / Q) - 2.0
-        return np.full((len(indices), 1), np.exp(np.square(offsets).sum()))
-
-
 def test_the_best_constant_is_found_on_a_known_landscape():
-    constant = adaptation.best_constant(Bowl(), 1000)
-    assert Bowl().drive(constant, [0], [0])[0, 0] < 1.05
+    runs = Rated(bowl(ratio=2.0))
+    constant = adaptation.best_constant(runs, 1000)
+    assert runs.drive(constant, [0])[0, 0] < 1.05
     assert constant[2] == 1.0
 
 

@@ -1,14 +1,11 @@
-"""The neuro-fuzzy regressor: its layers, its learning rule, its partitions, and that it behaves as an estimator."""
+"""The neuro-fuzzy regressor: its layers, its learning rule, and its partitions."""
 
 import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sklearn.base import clone
-from sklearn.utils.estimator_checks import check_estimator
 
-from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions import Sugeno, sugeno
 from adaptrack.control.scheduling.functions.sugeno import ANY, BELL_CENTRE, BELL_SLOPE, BELL_WIDTH
 from adaptrack.paper import ANFIS, subtractive_clustering
@@ -33,23 +30,6 @@ def some_system(bell, seed=1):
         consequents=rng.normal(size=(3, 3)),
         weights=np.array([1.0, 0.5, 1.0]),
     )
-
-
-@pytest.mark.parametrize("options", [{}, {"partition": "grid", "n_mfs": 1, "membership": "bell"}])
-def test_it_is_a_scikit_learn_estimator(options):
-    check_estimator(ANFIS(epochs=3, **options), on_skip=None)
-
-
-@pytest.mark.parametrize("options", [{}, {"consequents": "rls", "partition": "grid"}, {"prune": 0.02}])
-def test_a_weight_says_how_often_a_row_counts(options, rng):
-    x, often = rng.uniform(size=(80, 2)), rng.integers(0, 4, 80)
-    y = np.sin(4.0 * x[:, 0]) + 0.1 * rng.normal(size=80)
-    repeated = ANFIS(epochs=8, **options).fit(x.repeat(often, axis=0), y.repeat(often))
-    weighted = ANFIS(epochs=8, **options).fit(x, y, sample_weight=often)
-    assert weighted.predict(x) == pytest.approx(repeated.predict(x), rel=1e-6, abs=1e-6)
-    assert weighted.n_rules_ == repeated.n_rules_
-    with pytest.raises(InvalidInput, match="all are zero"):
-        ANFIS().fit(x, y, sample_weight=np.zeros(80))
 
 
 # -- layers -----------------------------------------------------------------------------------------------------------
@@ -155,37 +135,6 @@ def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
     assert estimator.best_epoch_ == errors.argmin()
     assert estimator.n_iter_ == len(errors) - 1 == estimator.best_epoch_ + 5
     assert len(estimator.history_["train_rmse"]) == len(estimator.history_["step"]) == len(errors)
-
-
-def test_the_unit_of_the_inputs_and_of_the_target_does_not_matter():
-    x, y = data(150)
-    scale, shift = np.array([1e3, 1e-2]), np.array([50.0, -3.0])
-    for partition in ("subtractive", "grid"):
-        first = ANFIS(partition, epochs=5).fit(x, y)
-        other = ANFIS(partition, epochs=5).fit(x * scale + shift, 40.0 * y - 9.0)
-        assert first.n_rules_ == other.n_rules_
-        np.testing.assert_allclose((other.predict(x * scale + shift) + 9.0) / 40.0, first.predict(x), rtol=0, atol=1e-6)
-
-
-def test_the_same_seed_gives_the_same_system():
-    x, y = data(100)
-    estimator = ANFIS(epochs=5, early_stopping=True, random_state=3)
-    fits = (clone(estimator).set_params(random_state=seed).fit(x, y) for seed in (3, 3, 4))
-    first, again, other = (fit.system_.consequents for fit in fits)
-    np.testing.assert_array_equal(first, again)
-    assert first.shape != other.shape or (first != other).any()
-
-
-@pytest.mark.parametrize("options", [
-    {"partition": "tree"}, {"membership": "triangle"}, {"consequents": "sgd"}, {"epochs": -1}, {"epochs": 1.5},
-    {"step": 0.0}, {"ridge": 0.0}, {"forgetting": 1.1, "consequents": "rls"}, {"forgetting": 0.9}, {"prune": 1.0},
-    {"influence": 0.0}, {"reject": 0.9}, {"partition": "grid", "n_mfs": (2, 2, 2)}, {"partition": "grid", "n_mfs": 0},
-    {"partition": "grid", "n_mfs": 300}, {"early_stopping": True, "validation_fraction": 0.999},
-])  # fmt: skip
-def test_a_parameter_that_is_not_allowed_is_named(options):
-    name = "validation_fraction" if "validation_fraction" in options else list(options)[-1]
-    with pytest.raises(InvalidInput, match=r"300 x 300" if options.get("n_mfs") == 300 else f"{name}|forgetting"):
-        ANFIS(**options).fit(*data(30))
 
 
 # -- partitions -------------------------------------------------------------------------------------------------------

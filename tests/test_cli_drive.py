@@ -137,29 +137,31 @@ def test_files_of_scenario_car_and_scheduler_are_driven_under_their_names(run_co
 
 
 SCENARIO, ROAD = "duration = 1.0\nreference = 0.0\nspeed = 10.0\n", "points = [[0.0, 0.0], [50.0, 0.0]]\n"
+BOTH = r"as a scenario, and .* as a road: remove one"
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "road"),
+    ("file", "text", "reading"),
     [
         ("a.toml", SCENARIO, False),
         ("a.toml", ROAD, True),
         ("a.toml", 'name = "empty"\n', True),
+        ("a.toml", SCENARIO + ROAD, BOTH),
         ("a.csv", "t,y_ref,speed,friction,wind_y\n0,0,10,0.9,0\n", False),
         ("a.csv", "x,y\n0,0\n", True),
         ("a.csv", "t,x,y\n0,0,0\n", True),
         ("a.csv", "0.0,0.0\n1.0,0.0\n", True),
+        ("a.csv", "t,y_ref,x,y\n0,0,0,0\n", BOTH),
     ],
 )
-def test_a_file_with_a_scenarios_keys_or_columns_is_a_scenario_otherwise_a_road(tmp_path, file, text, road):
+def test_a_file_with_a_scenarios_keys_or_columns_is_a_scenario_otherwise_a_road_and_never_both(
+    tmp_path, file, text, reading
+):
     (tmp_path / file).write_text(text)
-    assert is_road(str(tmp_path / file)) == road
-
-
-@pytest.mark.parametrize(("file", "text"), [("a.toml", SCENARIO + ROAD), ("a.csv", "t,y_ref,x,y\n0,0,0,0\n")])
-def test_a_file_that_may_be_both_is_refused_with_both_readings(tmp_path, file, text):
-    (tmp_path / file).write_text(text)
-    with pytest.raises(InvalidInput, match=r"as a scenario, and .* as a road: remove one"):
+    if reading is not BOTH:
+        assert is_road(str(tmp_path / file)) == reading
+        return
+    with pytest.raises(InvalidInput, match=BOTH):
         is_road(str(tmp_path / file))
 
 

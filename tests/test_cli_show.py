@@ -121,10 +121,11 @@ def test_without_a_terminal_progress_is_a_line_now_and_then_with_the_time_left(m
     assert 2 <= len(lines) <= 6
 
 
-def test_what_is_done_in_two_seconds_says_nothing(capsys):
+def test_what_is_done_in_two_seconds_says_nothing_and_the_logger_is_left_alone(capsys):
     with show.progress("work") as advance:
         advance("work", 1, 1)
     assert capsys.readouterr() == ("", "")
+    assert not logging.getLogger("adaptrack").handlers
 
 
 def test_several_pieces_of_work_count_as_one():
@@ -193,7 +194,3 @@ def test_a_log_record_does_not_tear_the_bar_of_a_terminal():
     assert "left" in text
     lines = [line.rpartition("\x1b[2K")[2] for line in text.replace("\r", "\n").splitlines()]
     assert "adaptrack: compiling kernels" in lines
-
-
-def test_the_logger_is_left_alone():
-    assert not logging.getLogger("adaptrack").handlers

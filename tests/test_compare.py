@@ -106,10 +106,6 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     comparison = Comparison.from_columns({name: values[is_selected] for name, values in rows.items()})
     assert np.isclose(comparison.ratio("b, default", "a, default", "rms_error").mean, 3.0)
     assert {row["label"]: row["runs"] for row in standing_rows(comparison)} == {"a, default": 4, "b, default": 2}
-
-
-def test_contenders_that_drove_nothing_in_common_have_no_ratio():
-    rows = columns({"a": np.zeros((2, 2)), "b": np.zeros((2, 2))})
     is_selected = (rows["contender"] == "a") == (rows["car"] == "car 0")
     comparison = Comparison.from_columns({name: values[is_selected] for name, values in rows.items()})
     with pytest.raises(InvalidInput, match="nothing in common"):

@@ -21,38 +21,9 @@ from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import simulate
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import RunSet, operating_point_runs
-from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
+from small_runs import CAR, HASTY, START, Rated, bowl, controller, lane_changes, run_set
 
 FAILED_COST = RunSet.failure.distance**2
-
-
-class Rated(RunSet):
-    """Runs whose cost is a function of the tuning and of the number of the run; nothing is driven."""
-
-    def __init__(self, cost, runs=6):
-        self.cost, self.runs, self.seeds = cost, runs, set()
-
-    def __len__(self):
-        return self.runs
-
-    def drive(self, policy, seeds, indices=None):
-        self.seeds |= set(seeds)
-        indices = np.arange(self.runs) if indices is None else indices
-        tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
-        rows = np.broadcast_to(tuning, (len(indices), 4))
-        return np.stack(
-            [np.array([self.cost(row, run) for row, run in zip(rows, indices, strict=True)])] * len(seeds), axis=1
-        )
-
-
-def bowl(ratio=3.5):
-    """A cost that is lowest, 1, at Np = 35, Nc = 8 and this log10 R/Q, and the same in all runs."""
-
-    def cost(row, run):
-        offsets = (row[0] - 35.0) / 10.0, (row[1] - 8.0) / 5.0, math.log10(row[3] / row[2]) - ratio
-        return math.exp(sum(offset**2 for offset in offsets))
-
-    return cost
 
 
 def compared(failures=None, **regrets):

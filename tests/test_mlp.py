@@ -1,12 +1,10 @@
-"""The network regressor: its forward pass, what gradient descent does, and that it behaves as an estimator."""
+"""The network regressor: its forward pass, and what gradient descent does."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sklearn.base import clone
-from sklearn.utils.estimator_checks import check_estimator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.paper import MLP
@@ -29,32 +27,7 @@ def rmse(y, predicted):
     return np.sqrt(((predicted - y) ** 2).mean())
 
 
-@pytest.mark.parametrize("options", [
-    pytest.param({"epochs": 600}, marks=pytest.mark.slow),
-    pytest.param({"epochs": 80, "batch_size": 20}, marks=pytest.mark.slow),
-    {"solver": "lbfgs", "epochs": 60},
-    {"epochs": 25, "batch_size": 20, "solver": "adam", "learning_rate": 0.03, "early_stopping": True},
-])  # fmt: skip
-def test_it_is_a_scikit_learn_estimator(options):
-    batches = "batches and held-out rows are drawn from the rows, whatever their weights"
-    drawn = {"check_sample_weight_equivalence_on_dense_data": batches} if "batch_size" in options else {}
-    check_estimator(MLP(**options), on_skip=None, expected_failed_checks=drawn)
-
-
-def test_in_one_batch_a_weight_says_how_often_a_row_counts(rng):
-    x, often = rng.uniform(size=(60, 2)), rng.integers(0, 4, 60)
-    y = x[:, 0] + 0.2 * rng.normal(size=60)
-    repeated = MLP((6,), epochs=40, random_state=1).fit(x.repeat(often, axis=0), y.repeat(often))
-    weighted = MLP((6,), epochs=40, random_state=1).fit(x, y, sample_weight=often)
-    assert weighted.predict(x) == pytest.approx(repeated.predict(x), rel=1e-9)
-    assert weighted.history_["train_rmse"] == pytest.approx(repeated.history_["train_rmse"], rel=1e-9)
-    with pytest.raises(InvalidInput, match="weight is negative"):
-        MLP().fit(x, y, sample_weight=-np.ones(60))
-
-
-# --- what runs
-
-
+# -- the network ------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("relu", [True, False])
 def test_the_forward_pass_is_the_papers_equations(relu):
     x, y = data(40)
@@ -95,9 +68,7 @@ def test_dead_outputs_are_counted():
     assert MLP((2,), epochs=100, random_state=0, relu=False).fit(x, y).dead_share_ == 0.0
 
 
-# --- learning
-
-
+# -- learning ---------------------------------------------------------------------------------------------------------
 def test_the_papers_recipe_is_the_default():
     expected = {"hidden": (16, 8), "solver": "momentum", "epochs": 1000, "relu": True, "early_stopping": False}
     assert expected.items() <= MLP().get_params().items()
@@ -113,30 +84,12 @@ def test_a_smooth_function_is_learned(solver):
     assert estimator.score(x[1000:], y[1000:]) > 0.95
 
 
-def test_the_unit_of_the_inputs_and_of_the_target_does_not_matter():
-    x, y = data(150)
-    scale, shift = np.array([1e3, 1e-2, 1.0, 5.0]), np.array([50.0, -3.0, 0.0, 7.0])
-    first = MLP(**QUICK, random_state=0).fit(x, y)
-    other = MLP(**QUICK, random_state=0).fit(x * scale + shift, 40.0 * y - 9.0)
-    np.testing.assert_allclose((other.predict(x * scale + shift) + 9.0) / 40.0, first.predict(x), rtol=1e-6)
-
-
 def test_a_constant_target_is_learned_exactly():
     x, _ = data(50)
     x[:, 1] = 4.0  # and an input that never changes does no harm
     estimator = MLP(**QUICK, random_state=0).fit(x, np.full(50, 7.0))
     assert (estimator.predict(x) == 7.0).all()
     assert estimator.dead_share_ == 0.0
-
-
-@pytest.mark.parametrize("solver", ["momentum", "adam", "lbfgs"])
-def test_the_same_seed_gives_the_same_bits(solver):
-    estimator = MLP(**QUICK, solver=solver, early_stopping=True)
-    first, again, other = (clone(estimator).set_params(random_state=seed).fit(*data()) for seed in (3, 3, 4))
-    for a, b, c in zip(first.network_.weights, again.network_.weights, other.network_.weights, strict=True):
-        np.testing.assert_array_equal(a, b)
-        assert (a != c).any()
-    np.testing.assert_array_equal(first.history_["train_rmse"], again.history_["train_rmse"])
 
 
 def test_the_callers_threads_do_not_change_the_bits(run_python):
@@ -152,9 +105,6 @@ def test_the_callers_threads_do_not_change_the_bits(run_python):
     assert first == second
 
 
-# --- history and early stopping
-
-
 def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
     x, y = noisy()
     estimator = MLP(epochs=400, batch_size=20, early_stopping=True, patience=20, random_state=0).fit(x, y)
@@ -164,19 +114,6 @@ def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
     _, rows = held_out("MLP", len(y), estimator.validation_fraction, np.random.RandomState(0))
     assert len(rows) == 24
     assert rmse(y[rows], estimator.predict(x[rows])) == pytest.approx(errors.min(), rel=1e-12)
-
-
-# --- what is refused
-
-
-@pytest.mark.parametrize("options", [
-    {"hidden": ()}, {"hidden": (16, 0)}, {"hidden": (8.5,)}, {"hidden": 16}, {"solver": "sgd"}, {"learning_rate": 0.0},
-    {"learning_rate": "fast"}, {"batch_size": 0}, {"epochs": 0}, {"epochs": 1.5}, {"validation_fraction": 1.0},
-    {"patience": 0}, {"early_stopping": True, "validation_fraction": 0.999},
-])  # fmt: skip
-def test_a_parameter_that_is_not_allowed_is_named(options):
-    with pytest.raises(InvalidInput, match=rf"MLP: {list(options)[-1]}(\[.\])? = "):
-        MLP(**options).fit(*data(30))
 
 
 def test_training_that_diverges_says_so():

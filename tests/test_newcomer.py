@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import adaptrack as at
 from adaptrack.cars import plant as plants
-from adaptrack.cli.app import app
 from adaptrack.control.controllers import registry as controllers
 
 MODULE = """
@@ -53,7 +51,7 @@ OWN = ("--plugin", "newcomers_module", "--plant", "bicycle")
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch):
+def run(run_command, tmp_path, monkeypatch):
     """Run a command in a folder that holds the module; its JSON."""
     (tmp_path / "newcomers_module.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
@@ -63,9 +61,9 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(plants._registry, "factories", dict(plants._registry.factories))
 
     def command(*arguments):
-        result = CliRunner().invoke(app, [*map(str, arguments), "--json"])
-        assert result.exit_code == 0, (result.output, result.exception)
-        return json.loads(result.stdout)
+        code, out, err = run_command(*arguments, "--json")
+        assert code == 0, err
+        return json.loads(out)
 
     yield command
     sys.modules.pop("newcomers_module", None)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from adaptrack.base.errors import InvalidInput
 from adaptrack.paper.operating_points import (
     PAPER_GRID,
-    POINT_COLUMNS,
+    POINT_COORDINATES,
     POINT_NAMES,
     canonical,
     check_operating_points,
@@ -38,7 +38,7 @@ some_conditions = st.lists(
 
 def test_the_papers_grid_has_its_6435_conditions_in_the_published_order():
     rows = paper_grid()
-    assert rows.shape == (6435, 4) == (9 * 13 * 5 * 11, len(POINT_COLUMNS))
+    assert rows.shape == (6435, 4) == (9 * 13 * 5 * 11, len(POINT_COORDINATES))
     order = ("y_ref", "speed", "friction", "wind")  # the last changes fastest
     combinations = itertools.product(*(PAPER_GRID[name] for name in order))
     expected = np.array(list(combinations))[:, [order.index(name) for name in POINT_NAMES]]

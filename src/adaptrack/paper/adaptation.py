@@ -85,7 +85,7 @@ LOOKUP_NEIGHBOURS = 12
 # Networks and fuzzy systems before the first round: the same tuning everywhere
 SPANS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 """First value of each output, and the scale of its changes."""
-RULES = 20
+FUZZY_RULES = 20
 CLUSTERED_INPUTS, CLUSTER_STRIDE = 6000, 40
 """Inputs that are clustered for the centres of the rules, and the periods between two of them in a run."""
 
@@ -258,7 +258,7 @@ class Makers:
         ])  # fmt: skip
         rng = np.random.default_rng((LEARNING_SEED, 0xF522))
         rows = np.sort(rng.choice(len(variables), CLUSTERED_INPUTS))
-        surface = FuzzySurface.start(np.clip(variables[rows][:, columns], *domain.T), 0.0, RULES, LEARNING_SEED)
+        surface = FuzzySurface.start(np.clip(variables[rows][:, columns], *domain.T), 0.0, FUZZY_RULES, LEARNING_SEED)
         return {slot: surface.level(SPANS[slot][0]) for slot in LEARNED_OUTPUTS}
 
 

@@ -53,7 +53,7 @@ DATA_SET_COLUMNS = (
     TunedColumn(
         "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
     ),
-    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.POINT_COLUMNS),
+    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.POINT_COORDINATES),
     TunedColumn("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
     TunedColumn("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
     TunedColumn("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.paper.data_set import DataSet
-from adaptrack.paper.operating_points import POINT_COLUMNS
+from adaptrack.paper.operating_points import POINT_COORDINATES
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def describe(dataset: DataSet) -> dict[str, Any]:
                 "highest": float(values.max()),
                 "levels": int(np.unique(values).size),
             }
-            for column, values in zip(POINT_COLUMNS, dataset.operating_points.T, strict=True)
+            for column, values in zip(POINT_COORDINATES, dataset.operating_points.T, strict=True)
         ],
         "optimum": [
             {"target": name, **_quantiles(values), "at_a_bound": _share_at_bounds(values, bounds.get(name))}

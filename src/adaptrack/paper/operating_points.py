@@ -1,7 +1,7 @@
 """Operating points as rows (speed, y_ref, friction, wind): grids, Sobol samples, left-right twins.
 
 The paper's section III varies the operating point of a run. Here it is a row of an array of shape (n, 4), float64;
-`POINT_COLUMNS` names and explains the columns. The number of a row is the point's number.
+`POINT_COORDINATES` names and explains the columns. The number of a row is the point's number.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Coordinate(NamedTuple):
     meaning: str
 
 
-POINT_COLUMNS = (
+POINT_COORDINATES = (
     Coordinate("speed", "m/s", 1.0, 100.0, "forward speed"),
     Coordinate("y_ref", "m", -1000.0, 1000.0, "lateral reference, from y = 0; positive to the left"),
     Coordinate("friction", "-", 0.05, 2.0, "friction of road and tyre"),
@@ -41,7 +41,7 @@ POINT_COLUMNS = (
 )
 """The columns of every array of operating points."""
 
-POINT_NAMES = tuple(column.name for column in POINT_COLUMNS)
+POINT_NAMES = tuple(column.name for column in POINT_COORDINATES)
 
 PAPER_GRID: dict[str, tuple[float, ...]] = {
     "y_ref": (-14.0, -10.0, -6.0, -2.0, 2.0, 5.0, 8.0, 11.0, 14.0),
@@ -56,7 +56,7 @@ MAX_POINTS = 10_000_000
 
 
 def check_operating_points(points: ArrayLike) -> Array:
-    """`points` as an array of shape (n, 4), columns as in `POINT_COLUMNS`.
+    """`points` as an array of shape (n, 4), columns as in `POINT_COORDINATES`.
 
     Raises
     ------
@@ -67,11 +67,11 @@ def check_operating_points(points: ArrayLike) -> Array:
         rows = np.array(points, dtype=np.float64)
     except (TypeError, ValueError):
         raise InvalidInput(f"operating points: need numbers, rows of {', '.join(POINT_NAMES)}.") from None
-    if rows.ndim != 2 or rows.shape[1] != len(POINT_COLUMNS) or not len(rows):
+    if rows.ndim != 2 or rows.shape[1] != len(POINT_COORDINATES) or not len(rows):
         raise InvalidInput(
             f"operating points: need rows of {', '.join(POINT_NAMES)}, at least one; got the shape {rows.shape}."
         )
-    for column, values in zip(POINT_COLUMNS, rows.T, strict=True):
+    for column, values in zip(POINT_COORDINATES, rows.T, strict=True):
         invalid = ~((values >= column.low) & (values <= column.high))  # NaN is invalid, too
         if invalid.any():
             first = int(np.flatnonzero(invalid)[0])
@@ -115,7 +115,7 @@ def paper_grid() -> Array:
 
 
 def check_box(box: Mapping[str, Sequence[float]]) -> Array:
-    """A box of operating points as an array (4, 2) of lowest and highest value, rows as in `POINT_COLUMNS`.
+    """A box of operating points as an array (4, 2) of lowest and highest value, rows as in `POINT_COORDINATES`.
 
     Raises
     ------
@@ -128,8 +128,8 @@ def check_box(box: Mapping[str, Sequence[float]]) -> Array:
             f"{word} {', '.join(names)}" for word, names in (("missing:", missing), ("unknown:", unknown)) if names
         )
         raise InvalidInput(f"box: need a pair [low, high] for each of {', '.join(POINT_NAMES)}; {difference}.")
-    bounds = np.empty((len(POINT_COLUMNS), 2))
-    for row, column in zip(bounds, POINT_COLUMNS, strict=True):
+    bounds = np.empty((len(POINT_COORDINATES), 2))
+    for row, column in zip(bounds, POINT_COORDINATES, strict=True):
         pair = box[column.name]
         if len(pair) != 2:
             raise InvalidInput(f"box: {column.name} = {list(pair)!r}: need a pair [low, high].")
@@ -160,7 +160,7 @@ def sobol(n: Annotated[Count, Field(le=MAX_POINTS)], box: Mapping[str, Sequence[
     """
     bounds = check_box(box)
     return check_operating_points(
-        bounds[:, 0] + unit_sobol(n, len(POINT_COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0])
+        bounds[:, 0] + unit_sobol(n, len(POINT_COORDINATES), seed) * (bounds[:, 1] - bounds[:, 0])
     )
 
 
