@@ -11,25 +11,12 @@ import numpy as np
 import pytest
 
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED, Setting, copier, defaults, record, size_of, vector, void
+from adaptrack.core.kernel import INTERPRETED, vector, void
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road
-from inlined import entry
 
 needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
-
-
-def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
-    kind = record("Kind", [Setting("lag", "s", 0.5, "of the steering", "[0, 1)"), Setting("pair", "", (1.0, 2.0), ""),
-                           Setting("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
-    assert tuple(defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
-    assert size_of(kind) == 4
-    assert kind.field_settings["lag"].ends == (0.0, 1.0)
-    assert kind.field_settings["lag"].remark == "s, [0, 1), of the steering"
-    source, target = kind.new(1, lag=0.1)[0], kind.new(1)[0]
-    entry(copier(record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]])))(source, target)
-    assert target.lag == 0.1
 
 
 def test_an_exported_kernel_answers_as_its_python_does():
